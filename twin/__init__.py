@@ -1,0 +1,1 @@
+"""twin: from one recording of a motor-driven axis to its digital twin."""
