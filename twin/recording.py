@@ -1,0 +1,441 @@
+"""A recording of one axis, measured or simulated alike, and how to load it from what lies on disk."""
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from twin.errors import BadInput
+from twin.faults import (
+    BoolArray,
+    Fault,
+    find_contradicted,
+    find_gaps,
+    find_held,
+    find_missing,
+    find_outliers,
+    find_resolution,
+    unwrap,
+)
+from twin.formats import Table, open_table, read_rows
+from twin.rig import Clock, Column, LoopRig, Rig, guess_rig, guess_time, read_rig
+
+__all__ = ["Fault", "FloatArray", "Loop", "Recording", "Rig", "load", "read_rig"]
+
+FloatArray = npt.NDArray[np.float64]
+
+_LEAST_SAMPLES = 50
+_INPUT_WORDS = {"%": "duty", "V": "voltage", "A": "current", "N*m": "torque", "N": "force"}
+_COUNTERS = tuple(float(2**bits) for bits in (8, 10, 12, 14, 16, 24, 32))
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The rig's own position loop, in the units of the recording.
+
+    "P": input = gain * (reference - output). "P-P": input = kv * (kp * (reference - output) - velocity).
+    """
+
+    law: str  # "P" | "P-P"
+    gain: float | None = None  # input_unit per output_unit
+    kp: float | None = None  # 1/s
+    kv: float | None = None  # input_unit per (output_unit/s)
+    limit: float | None = None  # input_unit
+    reference_rate_limit: float | None = None  # output_unit/s
+    minimum: float | None = None  # input_unit; the smallest input that the loop gives other than 0
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One recording: input held from stamp to stamp, output as it was read. All arrays have shape (N,).
+
+    `output` is NaN where a reading is left out (`faults` says why); `input` is finite everywhere.
+    `resolution` is the size of one encoder count in `output_unit`, 0.0 when the output is not quantised.
+    `optional` holds motor_position (rad or m, NaN where left out), speed, current (A), supply (V), temperature (K) and, with a
+    loop, reference (output_unit), where the recording has them.
+    """
+
+    name: str
+    time: FloatArray  # s, strictly increasing, from 0
+    input: FloatArray
+    output: FloatArray
+    input_unit: str  # "%", "V", "A", "N*m", "N"
+    output_unit: str  # "rad", "m", "rad/s", "m/s"
+    resolution: float = 0.0
+    role: str = "train"  # "train" | "holdout"
+    known: Mapping[str, float] = field(default_factory=dict)
+    optional: Mapping[str, FloatArray] = field(default_factory=dict)
+    loop: Loop | None = None
+    faults: tuple[Fault, ...] = ()
+
+    def __repr__(self) -> str:
+        quantity = "speed" if self.is_speed else "position"
+        step = f"{1e3 * float(np.median(np.diff(self.time))):.3g} ms" if self.time.size > 1 else "one sample"
+        count = f" ({self.resolution:.3g} per count)" if self.resolution else ""
+        left = int(np.count_nonzero(np.isnan(self.output)))
+        readings = "no readings" if left == 0 else "1 reading" if left == 1 else f"{left} readings"
+        return (
+            f"{self.time[-1] if self.time.size else 0.0:.1f} s at {step}, "
+            f"{_INPUT_WORDS.get(self.input_unit, 'input')} in {self.input_unit}, "
+            f"{quantity} in {self.output_unit}{count}, {readings} left out"
+        )
+
+    @property
+    def is_speed(self) -> bool:
+        """True when the output is a speed, not a position."""
+        return self.output_unit.endswith("/s")
+
+    def part(self, start: float, end: float) -> "Recording":
+        """The samples from `start` to `end` (s, both included), with time from 0 again.
+
+        Raises BadInput when fewer than two samples lie in the window.
+        """
+        keep = (self.time >= start) & (self.time <= end)
+        if np.count_nonzero(keep) < 2:
+            raise BadInput(
+                f"{self.name}: no samples from {start:g} to {end:g} s; the recording lasts {self.time[-1]:g} s"
+            )
+        origin, last = self.time[keep][0], self.time[keep][-1]
+        return replace(
+            self,
+            name=f"{self.name} ({start:g} to {end:g} s)",
+            time=self.time[keep] - origin,
+            input=self.input[keep],
+            output=self.output[keep],
+            optional={key: values[keep] for key, values in self.optional.items()},
+            faults=tuple(
+                replace(f, start=max(f.start, origin) - origin, end=min(f.end, last) - origin)
+                for f in self.faults
+                if f.end >= origin and f.start <= last
+            ),
+        )
+
+
+def load(paths: Sequence[Path], rig: Path | None = None) -> tuple[list[Recording], Rig]:
+    """Load recordings and manifests, all with the same rig.
+
+    `paths`: recordings or manifests (a CSV with a column `file`, relative to the manifest; optional columns `role`, `start` and
+    `end` in s to cut a window, and numeric ones, which are known quantities of that recording).
+    `rig`: the rig file; without one, the rig.toml beside the first path, else a guess from the column names.
+
+    Raises BadInput for anything that cannot be used, also when input or output never changes in any of the recordings. In a set, single
+    recordings may stand still: that is how a dead band shows.
+    """
+    if not paths:
+        raise BadInput("no recording given; name at least one file")
+    entries = [entry for path in paths for entry in _entries(Path(path))]
+    chosen = _choose_rig([Path(paths[0]), entries[0].path], rig)
+    tables: dict[Path, Table] = {}
+    recordings = []
+    for entry in entries:
+        table = tables.get(entry.path) or open_table(entry.path)
+        tables = {entry.path: table}  # windows of one file stand together in a manifest
+        if chosen is None:
+            chosen = _guess(table)
+        recordings.append(_recording(table, chosen, entry))
+    assert chosen is not None
+    _check_moves(recordings)
+    return recordings, chosen
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """One recording to load: a path given by the user or a line of a manifest."""
+
+    path: Path
+    role: str = "train"
+    known: Mapping[str, float] = field(default_factory=dict)
+    start: float | None = None
+    end: float | None = None
+
+
+def _entries(path: Path) -> list[_Entry]:
+    if path.suffix.lower() not in (".csv", ".txt", ".tsv") or not path.is_file():
+        return [_Entry(path)]
+    rows = read_rows(path)
+    if "file" not in rows.header:
+        return [_Entry(path)]
+    return _manifest(path)
+
+
+def _manifest(path: Path) -> list[_Entry]:
+    rows = read_rows(path)
+    cells = list(csv.reader(rows.lines, delimiter=rows.separator or ","))
+    table: list[dict[str, str]] = []
+    for number, row in zip(rows.numbers, cells, strict=False):
+        if len(row) != len(rows.header):
+            raise BadInput(f"{path}: line {number} has {len(row)} cells and the header {len(rows.header)}")
+        table.append({name: cell.strip() for name, cell in zip(rows.header, row, strict=True)})
+    if not table:
+        raise BadInput(f"{path}: a manifest without rows; add a line per recording")
+    numeric = [
+        name
+        for name in rows.header
+        if name not in ("file", "role", "start", "end")
+        and any(row[name] for row in table)
+        and all(_finite(row[name]) is not None for row in table if row[name])
+    ]
+    entries = []
+    for number, row in zip(rows.numbers, table, strict=True):
+        where = f"{path}: line {number}"
+        file = path.parent / row["file"]
+        if not row["file"] or not file.is_file():
+            raise BadInput(f"{where}, column 'file': no such file '{row['file']}'; paths are relative to the manifest")
+        role = row.get("role") or "train"
+        if role not in ("train", "holdout"):
+            raise BadInput(f"{where}, column 'role': '{role}' is not known; use train or holdout")
+        window: list[float | None] = []
+        for name in ("start", "end"):
+            value = _finite(row.get(name, ""))
+            if row.get(name) and value is None:
+                raise BadInput(f"{where}, column '{name}': '{row[name]}' is not a number of seconds")
+            window.append(value)
+        known = {name: value for name in numeric if (value := _finite(row[name])) is not None}
+        entries.append(_Entry(file, role, known, *window))
+    return entries
+
+
+def _finite(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _choose_rig(beside: Sequence[Path], rig: Path | None) -> Rig | None:
+    if rig is not None:
+        return read_rig(rig)
+    for path in beside:
+        if (path.parent / "rig.toml").is_file():
+            return read_rig(path.parent / "rig.toml")
+    return None
+
+
+def _guess(table: Table) -> Rig:
+    rig = guess_rig(table.name, table.names, table.clock is not None, {})
+    (drive,) = table.columns([rig.input.name])
+    peak = float(np.nanmax(np.abs(drive), initial=0.0))
+    return guess_rig(table.name, table.names, table.clock is not None, {rig.input.name: peak})
+
+
+def _recording(table: Table, rig: Rig, entry: _Entry) -> Recording:
+    wanted = _wanted(table, rig)
+    raw = dict(zip(wanted, table.columns(list(wanted)), strict=True))
+    time, rows, faults = _time(table, rig.time, raw, rig)
+    raw = {name: values[rows] for name, values in raw.items()}
+    drive, held = _hold(time, _convert(raw[rig.input.name], rig.input), "input", table.name)
+    faults += held
+    reading = _convert(raw[rig.output.name], rig.output)
+    if not np.isfinite(reading).any():
+        raise BadInput(f"{table.name}: column '{rig.output.name}' holds no number")
+    optional: dict[str, FloatArray] = {}
+    for key, column in rig.optional.items():
+        optional[key], found = _optional(time, key, _convert(raw[column.name], column), column, table.name)
+        faults += found
+    output, resolution, found = _clean(time, reading, rig.output, optional.get("speed"))
+    faults += found + find_gaps(time)
+    known = _known(rig, table, entry)
+    if rig.loop is not None:
+        optional["reference"], found = _hold(
+            time, _convert(raw[rig.loop.reference], rig.output), "reference", table.name
+        )
+        faults += found
+    recording = Recording(
+        name=Path(table.name).name,
+        time=time,
+        input=drive,
+        output=output,
+        input_unit=rig.input.unit,
+        output_unit=rig.output.unit,
+        resolution=resolution,
+        role=entry.role,
+        known=known,
+        optional=optional,
+        loop=None if rig.loop is None else _loop(rig.loop, rig, table, entry),
+        faults=tuple(sorted(faults, key=lambda f: (f.start, f.kind))),
+    )
+    if entry.start is not None or entry.end is not None:
+        recording = recording.part(entry.start or 0.0, math.inf if entry.end is None else entry.end)
+    if recording.time.size < _LEAST_SAMPLES:
+        raise BadInput(
+            f"{table.name}: only {recording.time.size} samples; at least {_LEAST_SAMPLES} are needed to say anything"
+        )
+    return recording
+
+
+def _wanted(table: Table, rig: Rig) -> dict[str, None]:
+    """Names of the columns to read, the output first (its clock is the clock of the recording)."""
+    names = [rig.output.name, rig.input.name, *(column.name for column in rig.optional.values())]
+    if rig.loop is not None:
+        names.append(rig.loop.reference)
+    if rig.time.column is not None:
+        names.append(rig.time.column)
+    elif rig.time.sample_time is None:
+        clock = table.clock or (guess := guess_time(table.names)) and guess.column
+        if clock is None:
+            raise BadInput(
+                f"{table.name}: no time column is named; give [time] column or sample_time in the rig file; "
+                f"columns are: {', '.join(table.names)}"
+            )
+        names.append(clock)
+    return dict.fromkeys(names)
+
+
+def _time(
+    table: Table, clock: Clock, raw: Mapping[str, FloatArray], rig: Rig
+) -> tuple[FloatArray, npt.NDArray[np.intp], list[Fault]]:
+    """Seconds from 0, strictly increasing, the rows that they belong to, and faults of the clock."""
+    size = len(raw[rig.output.name])
+    if clock.sample_time is not None:
+        return np.arange(size) * clock.sample_time, np.arange(size), []
+    guessed = None if clock.column or table.clock else guess_time(table.names)
+    column = clock.column or table.clock or (guessed.column if guessed else None)
+    assert column is not None
+    stamps = raw[column]
+    rows = np.flatnonzero(np.isfinite(stamps))
+    if rows.size < 2:
+        raise BadInput(f"{table.name}: column '{column}' holds fewer than two time stamps")
+    time = (stamps[rows] - stamps[rows[0]]) * (guessed.factor if guessed else clock.factor)
+    step = np.diff(time)
+    back = np.flatnonzero(step < 0)
+    if back.size:
+        row = int(rows[back[0] + 1])
+        raise BadInput(
+            f"{table.name}: {table.where(row)}: time goes backwards to {stamps[row]:.9g} from "
+            f"{stamps[rows[back[0]]]:.9g} in column '{column}'; sort the rows or split the recording"
+        )
+    same = np.flatnonzero(step == 0)
+    if same.size > 0.05 * step.size:
+        raise BadInput(
+            f"{table.name}: {table.where(int(rows[same[0] + 1]))}: {same.size} time stamps in column '{column}' come "
+            "twice; its resolution is too coarse, give [time] sample_time instead"
+        )
+    faults = [
+        Fault("clock", time[k], time[k], f"The stamp {time[k]:.3f} s comes twice; the second sample is dropped.")
+        for k in same
+    ]
+    keep = np.concatenate(([True], step > 0))
+    if rows.size < size:
+        count = size - rows.size
+        faults.append(Fault("missing", 0.0, time[-1], f"{count} samples without a time stamp are dropped."))
+    return time[keep], rows[keep], faults
+
+
+def _convert(raw: FloatArray, column: Column) -> FloatArray:
+    with np.errstate(over="ignore", invalid="ignore"):
+        values = (raw - column.offset) * (column.scale * column.factor) + column.zero
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def _hold(time: FloatArray, values: FloatArray, what: str, name: str) -> tuple[FloatArray, list[Fault]]:
+    """The last value held where one is missing."""
+    good = np.isfinite(values)
+    if not good.any():
+        raise BadInput(f"{name}: the {what} holds no number")
+    index = np.maximum.accumulate(np.where(good, np.arange(values.size), -1))
+    index[index < 0] = np.flatnonzero(good)[0]
+    return values[index], find_missing(time, values, what)
+
+
+def _optional(
+    time: FloatArray, key: str, values: FloatArray, column: Column, name: str
+) -> tuple[FloatArray, list[Fault]]:
+    words = key.replace("_", " ")
+    if key == "motor_position":
+        cleaned, _, faults = _clean(time, values, column, None)
+        return cleaned, [replace(f, says=f"Motor position: {f.says}") for f in faults]
+    faults = find_missing(time, values, words)
+    spikes = find_outliers(values, find_resolution(values)) if key != "speed" else np.zeros(values.size, dtype=bool)
+    faults += _outliers(time, values, spikes, words)
+    held, _ = _hold(time, np.where(spikes, np.nan, values), words, name)
+    return held, faults
+
+
+def _outliers(time: FloatArray, values: FloatArray, spikes: BoolArray, what: str) -> list[Fault]:
+    return [
+        Fault("outlier", time[k], time[k], f"The {what} jumps to {values[k]:.4g} at {time[k]:.3f} s and comes back.")
+        for k in np.flatnonzero(spikes)
+    ]
+
+
+def _clean(
+    time: FloatArray, reading: FloatArray, column: Column, speed: FloatArray | None
+) -> tuple[FloatArray, float, list[Fault]]:
+    """The output with NaN where it is not to be believed, its resolution, and why."""
+    faults = find_missing(time, reading, "output")
+    resolution = column.resolution if column.resolution is not None else find_resolution(reading)
+    what = "output"
+    output = reading
+    if column.turn is not None:
+        size = abs(column.factor * column.scale)
+        counters = tuple(n * size for n in _COUNTERS) if column.counts else ()
+        output, wraps = unwrap(time, output, (column.turn * size, *counters), resolution)
+        faults += wraps
+    spikes = find_outliers(output, resolution)
+    faults += _outliers(time, output, spikes, what)
+    output = np.where(spikes, np.nan, output)
+    if not column.unit.endswith("/s"):
+        frozen, out = find_held(time, output, resolution)
+        if speed is not None:
+            contradicted, more = find_contradicted(time, output, speed, resolution)
+            frozen += [f for f in contradicted if not any(f.start < g.end and g.start < f.end for g in frozen)]
+            out |= more
+        faults += frozen
+        output = np.where(out, np.nan, output)
+    return output, resolution, faults
+
+
+def _known(rig: Rig, table: Table, entry: _Entry) -> dict[str, float]:
+    known = {key: _lookup(value, table, entry, f"{rig.name} [known] {key}") for key, value in rig.known.items()}
+    return {**known, **entry.known}
+
+
+def _lookup(value: float | str, table: Table, entry: _Entry, where: str) -> float:
+    """A number, or the manifest column or scalar of the file that a name stands for."""
+    if not isinstance(value, str):
+        return value
+    if value in entry.known:
+        return entry.known[value]
+    if value in table.scalars:
+        return table.scalars[value]
+    names = ", ".join([*entry.known, *table.scalars]) or "none"
+    raise BadInput(
+        f"{where} = '{value}' is neither a column of the manifest nor a scalar in {table.name}; there are: {names}"
+    )
+
+
+def _loop(loop: LoopRig, rig: Rig, table: Table, entry: _Entry) -> Loop:
+    into = abs(rig.input.factor)
+    outof = abs(rig.output.factor)
+
+    def value(given: float | str | None, key: str) -> float | None:
+        return None if given is None else _lookup(given, table, entry, f"{rig.name} [loop] {key}")
+
+    def times(number: float | None, factor: float) -> float | None:
+        return None if number is None else number * factor
+
+    return Loop(
+        law=loop.law,
+        gain=times(value(loop.gain, "gain"), loop.gain_scale * into / outof),
+        kp=value(loop.kp, "kp"),
+        kv=times(value(loop.kv, "kv"), into / outof),
+        limit=times(loop.limit, into),
+        reference_rate_limit=times(loop.reference_rate_limit, outof),
+        minimum=times(loop.minimum, into),
+    )
+
+
+def _check_moves(recordings: Sequence[Recording]) -> None:
+    for what in ("input", "output"):
+        values = np.concatenate([getattr(recording, what) for recording in recordings])
+        values = values[np.isfinite(values)]
+        if values.size < 2 or np.ptp(values) == 0:
+            said = f"{values[0]:g}" if values.size else "nothing"
+            raise BadInput(
+                f"{recordings[0].name}: the {what} is {said} all the time; record the axis moving under a changing input"
+            )
