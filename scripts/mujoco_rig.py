@@ -1,0 +1,648 @@
+"""A motor-driven axis in MuJoCo, with effects to conceal in it: recordings whose truth is known.
+
+Nothing here is shared with the model in `twin/`: the engine, the integrator, the compliant teeth, the
+friction solver and the formulas are all different, so that what the tool finds in these recordings is not
+found by construction.
+
+Units: the total inertia of motor and link is 1, so every torque is the link acceleration in rad/s^2 that
+it causes when the gears are in mesh. Duty in percent, angles in rad, time in s. Without effects, in mesh,
+the rig obeys  domega/dt + b omega = c (V + delta).
+
+Chain: duty -> delay -> saturation -> supply -> dead-band -> lag -> gain -> motor body -> teeth with a gap ->
+(elastic coupling ->) link body -> encoder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from math import exp, pi, sin, sqrt
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+TURN = 2.0 * pi
+
+# Halving the step moves the base rig by 0.01 to 0.5 counts within a second, the process noise by 2 to 50.
+STEP = 2e-4
+SETTLE = 1.0  # at zero duty before the recording: it starts neither exactly at rest nor centred in the gap
+GEAR_SHARE = 0.1  # of the link's inertia that sits ahead of the coupling when the coupling is elastic
+BODY_INERTIA = 1e-6  # what MuJoCo insists a body has; the rest is written as armature, which may change later
+BACK_EMF = 0.7  # share of the rig's viscous friction that is back-emf and so unloads the supply
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The truth about one base rig."""
+
+    input_gain: float  # c, rad/s^2 per percent
+    viscous_friction: float  # b, 1/s
+    dead_band_forward: float  # percent, > 0
+    dead_band_backward: float  # percent, > 0
+    backlash: float  # the whole gap, rad
+    motor_share: float  # of the total inertia
+    motor_friction_share: float  # of viscous and of dry friction
+    teeth_frequency: float  # Hz, motor against link, in mesh
+    teeth_damping: float  # damping ratio of the same
+    motor_noise: float  # white torque, rad/s^2/sqrt(Hz)
+    link_noise: float
+    counts_per_revolution: int
+    encoder_phase: float  # of one count
+
+    @property
+    def half_torque(self) -> float:
+        """Torque at 50 % duty: the scale of every effect's size."""
+        return self.input_gain * (50.0 - 0.5 * (self.dead_band_forward + self.dead_band_backward))
+
+    @property
+    def half_speed(self) -> float:
+        """Steady speed at 50 % duty without further effects, rad/s."""
+        return self.half_torque / self.viscous_friction
+
+    def truths(self) -> dict[str, float]:
+        return asdict(self)
+
+
+def draw_rig(rng: np.random.Generator) -> Rig:
+    """One rig from the population of the estimator study."""
+
+    def log_uniform(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+    viscous = 1.0 / log_uniform(0.15, 2.0)
+    forward, backward = rng.uniform(3.0, 9.0, 2)
+    gain = viscous * log_uniform(1.0, 15.0) / (60.0 - 0.5 * (forward + backward))
+    noise = log_uniform(3e-4, 5e-3) * gain * 45.0
+    at_motor = rng.uniform(0.1, 0.9)
+    return Rig(
+        input_gain=gain,
+        viscous_friction=viscous,
+        dead_band_forward=float(forward),
+        dead_band_backward=float(backward),
+        backlash=float(np.radians(log_uniform(0.5, 5.0))),
+        motor_share=float(rng.uniform(0.1, 0.4)),
+        motor_friction_share=float(rng.uniform(0.3, 1.0)),
+        teeth_frequency=log_uniform(60.0, 200.0),
+        teeth_damping=float(rng.uniform(0.1, 0.5)),
+        motor_noise=noise * sqrt(at_motor),
+        link_noise=noise * sqrt(1.0 - at_motor),
+        counts_per_revolution=int(rng.choice([10000, 10000, 10000, 4096, 8192, 16384, 20000, 40000])),
+        encoder_phase=float(rng.uniform()),
+    )
+
+
+@dataclass(frozen=True)
+class Concealed:
+    """One effect put into a rig. The parameters' units are those of this module."""
+
+    id: str
+    parameters: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A recording and what is true behind it, all at the stamps of `time`."""
+
+    time: Array
+    duty: Array
+    counts: NDArray[np.int64]
+    position: Array  # of the link, rad
+    velocity: Array
+    motor_position: Array  # referred to the link side
+    motor_velocity: Array
+    torque: Array  # of the drive on the motor, rad/s^2
+    counts_per_revolution: int
+
+
+class State:
+    """What the effects' laws may look at during one internal step."""
+
+    __slots__ = (
+        "angle",
+        "current",
+        "duty",
+        "motor_angle",
+        "motor_speed",
+        "speed",
+        "supply",
+        "time",
+        "transmitted",
+    )
+
+    def __init__(self) -> None:
+        self.time = self.angle = self.speed = self.motor_angle = self.motor_speed = 0.0
+        self.duty = 0.0  # as commanded, after the delay
+        self.current = 0.0  # in percent of the stall current at full duty
+        self.supply = 1.0
+        self.transmitted = 0.0  # torque through the teeth
+
+
+Law = Callable[[State], float]
+Shaper = Callable[[float, State], float]
+Friction = Callable[
+    [float, State], float
+]  # of the speed of the body it brakes; the magnitude, never negative
+Parameters = dict[str, float]
+
+
+# ---- laws that act in the loop; each takes its parameters and the rig, returns a function of the state ----
+
+
+def constant_friction(p: Parameters, rig: Rig) -> Friction:
+    magnitude = p["magnitude"]
+    return lambda speed, s: magnitude
+
+
+def stribeck_friction(p: Parameters, rig: Rig) -> Friction:
+    magnitude, scale = p["magnitude"], p["speed"]
+    return lambda speed, s: magnitude * exp(-((speed / scale) ** 2))
+
+
+def one_way_friction(p: Parameters, rig: Rig) -> Friction:
+    # At rest the side is that of the way the motor is being pushed.
+    forward, backward = p["forward"], p["backward"]
+    return lambda speed, s: forward if (speed if abs(speed) > 1e-6 else s.duty) > 0.0 else backward
+
+
+def angle_friction(p: Parameters, rig: Rig) -> Friction:
+    mean, phase = p["magnitude"], p["phase"]
+    return lambda speed, s: mean * (1.0 + sin(s.angle + phase))
+
+
+def load_friction(p: Parameters, rig: Rig) -> Friction:
+    share = p["share"]
+    return lambda speed, s: share * abs(s.transmitted)
+
+
+def constant_torque(p: Parameters, rig: Rig) -> Law:
+    torque = p["torque"]
+    return lambda s: torque
+
+
+def quadratic_drag(p: Parameters, rig: Rig) -> Law:
+    gain = p["gain"]
+    return lambda s: -gain * s.speed * abs(s.speed)
+
+
+def gravity(p: Parameters, rig: Rig) -> Law:
+    gain, phase = p["gain"], p["phase"]
+    return lambda s: -gain * sin(s.angle + phase)
+
+
+def spring(p: Parameters, rig: Rig) -> Law:
+    stiffness, rest = p["stiffness"], p["rest"]
+    return lambda s: -stiffness * (s.angle - rest)
+
+
+def link_ripple(p: Parameters, rig: Rig) -> Law:
+    gain, order, phase = p["gain"] * (1.0 - p["at_motor"]), p["order"], p["phase"]
+    return lambda s: gain * sin(order * s.angle + phase)
+
+
+def motor_ripple(p: Parameters, rig: Rig) -> Law:
+    gain, order, phase = p["gain"] * p["at_motor"], p["order"], p["phase"]
+    return lambda s: gain * sin(order * s.motor_angle + phase)
+
+
+def disturbance(p: Parameters, rig: Rig) -> Law:
+    gain, rate, phase = p["gain"], TURN * p["frequency"], p["phase"]
+    return lambda s: gain * sin(rate * s.time + phase)
+
+
+def brake_coast(p: Parameters, rig: Rig) -> Law:
+    damping = p["damping"]
+    return lambda s: -damping * s.motor_speed if s.duty == 0.0 else 0.0
+
+
+def latch(p: Parameters, rig: Rig) -> Law:
+    depth, width, angle = p["torque"], p["width"], p["angle"]
+
+    def law(s: State) -> float:
+        x = ((s.angle - angle + pi) % TURN - pi) / width
+        return -depth * x * exp(0.5 - 0.5 * x * x)
+
+    return law
+
+
+def speed_hump(p: Parameters, rig: Rig) -> Law:
+    torque, speed, width = p["torque"], p["speed"], p["width"]
+
+    def law(s: State) -> float:
+        drag = torque * exp(-(((abs(s.speed) - speed) / width) ** 2))
+        return -drag if s.speed > 0.0 else drag
+
+    return law
+
+
+def cubic_spring(p: Parameters, rig: Rig) -> Law:
+    stiffness, flat = p["stiffness"], p["flat"]
+
+    def law(s: State) -> float:
+        stretch = max(s.angle - flat, 0.0) + min(s.angle + flat, 0.0)
+        return -stiffness * stretch**3
+
+    return law
+
+
+def bristles(p: Parameters, rig: Rig) -> Law:
+    # LuGre with a constant sliding level, on the motor side; the bristles' own damping stops their ringing.
+    level, give = p["magnitude"], p["give"]
+    if level == 0.0:
+        return lambda s: 0.0
+    stiffness = level / give
+    damping = 0.6 * sqrt(stiffness * rig.motor_share)
+    bend = 0.0
+
+    def law(s: State) -> float:
+        nonlocal bend
+        rate = s.motor_speed - abs(s.motor_speed) * bend / give
+        bend += STEP * rate
+        return -(stiffness * bend + damping * rate)
+
+    return law
+
+
+def duty_sign_cogging(p: Parameters, rig: Rig) -> Law:
+    gain, order, phase, side = p["gain"], p["order"], p["phase"], p["side"]
+    return lambda s: gain * sin(order * s.motor_angle + phase) if s.duty * side > 0.0 else 0.0
+
+
+def warming_viscosity(p: Parameters, rig: Rig) -> Law:
+    damping, scale = p["damping"], p["time"]
+    return lambda s: -damping * exp(-max(s.time, 0.0) / scale) * s.motor_speed
+
+
+def drive_saturation(p: Parameters, rig: Rig) -> Shaper:
+    limit = p["limit"]
+    return lambda duty, s: min(max(duty, -limit), limit)
+
+
+def supply_sag(p: Parameters, rig: Rig) -> Shaper:
+    # The supply sees the motor's current only while the bridge is on; its capacitor delays the fall.
+    resistance, blend = p["resistance"], STEP / p["time"]
+
+    def law(duty: float, s: State) -> float:
+        drawn = max(duty * s.current, 0.0) / 2500.0
+        s.supply += blend * (1.0 - resistance * drawn - s.supply)
+        return duty * s.supply
+
+    return law
+
+
+def motor_lag(p: Parameters, rig: Rig) -> Shaper:
+    blend = 1.0 - exp(-STEP / p["time"]) if p["time"] > 0.0 else 1.0
+    torque = 0.0
+
+    def law(command: float, s: State) -> float:
+        nonlocal torque
+        before = torque
+        torque += blend * (command - torque)
+        return 0.5 * (before + torque) if blend < 1.0 else torque
+
+    return law
+
+
+def thermal_fade(p: Parameters, rig: Rig) -> Shaper:
+    fade, blend = p["fade"], STEP / p["time"]
+    heat = 0.0
+
+    def law(torque: float, s: State) -> float:
+        nonlocal heat
+        heat += blend * (s.current * s.current / 2500.0 - heat)
+        return torque / (1.0 + fade * heat)
+
+    return law
+
+
+def angle_gain(p: Parameters, rig: Rig) -> Shaper:
+    share, phase = p["share"], p["phase"]
+    return lambda torque, s: torque * (1.0 + share * sin(s.angle + phase))
+
+
+Laws = dict[str, Callable[[Parameters, Rig], Law]]
+Frictions = dict[str, Callable[[Parameters, Rig], Friction]]
+Shapers = dict[str, Callable[[Parameters, Rig], Shaper]]
+
+DRIVE: Shapers = {"drive_saturation": drive_saturation, "supply_sag": supply_sag}
+GAIN: Shapers = {"motor_lag": motor_lag, "thermal_fade": thermal_fade, "other_angle_gain": angle_gain}
+MOTOR: Laws = {
+    "torque_ripple": motor_ripple,
+    "other_brake_coast": brake_coast,
+    "other_bristles": bristles,
+    "other_duty_sign_cogging": duty_sign_cogging,
+    "other_warming_viscosity": warming_viscosity,
+}
+FRICTION: Frictions = {
+    "coulomb_friction": constant_friction,
+    "stribeck_friction": stribeck_friction,
+    "friction_asymmetry": one_way_friction,
+    "position_dependent_friction": angle_friction,
+    "load_dependent_friction": load_friction,
+}
+LINK: Laws = {
+    "constant_offset": constant_torque,
+    "quadratic_drag": quadratic_drag,
+    "gravity": gravity,
+    "spring": spring,
+    "torque_ripple": link_ripple,
+    "periodic_disturbance": disturbance,
+    "other_latch": latch,
+    "other_speed_hump": speed_hump,
+    "other_cubic_spring": cubic_spring,
+}
+ELSEWHERE = ("input_delay", "end_stop", "joint_elasticity", "load_change", "encoder_eccentricity")
+
+EVERY = sorted({*DRIVE, *GAIN, *MOTOR, *FRICTION, *LINK, *ELSEWHERE})
+VOCABULARY = tuple(i for i in EVERY if not i.startswith("other_"))
+OUTSIDE = tuple(i for i in EVERY if i.startswith("other_"))
+
+
+def draw_effect(
+    rng: np.random.Generator, id: str, rig: Rig, size: float, duration: float = 60.0
+) -> Concealed:
+    """An effect of the given size, the rest of its parameters at random; size 0 is no effect at all.
+
+    `size` is the effect's torque as a fraction of the drive's at 50 % duty. Where there is no torque to speak
+    of, 0.3 is as large as such an effect gets on a real rig and the effect is in proportion: lag 60 ms, delay
+    30 ms, coupling 3 Hz (its compliance is in proportion), clipping at 40 %, eccentricity 30 mrad.
+    """
+    torque = size * rig.half_torque
+    speed = rig.half_speed
+
+    def phase() -> float:
+        return float(rng.uniform(-pi, pi))
+
+    def between(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    def either() -> float:
+        return float(rng.choice([-1.0, 1.0]))
+
+    def order() -> float:
+        return float(rng.integers(4, 41))
+
+    draws: dict[str, Callable[[], Parameters]] = {
+        "coulomb_friction": lambda: {"magnitude": torque},
+        "stribeck_friction": lambda: {"magnitude": torque, "speed": speed * between(0.03, 0.15)},
+        "friction_asymmetry": lambda: dict(
+            zip(("forward", "backward"), (torque, 0.0) if rng.uniform() < 0.5 else (0.0, torque), strict=True)
+        ),
+        "position_dependent_friction": lambda: {"magnitude": torque, "phase": phase()},
+        "load_dependent_friction": lambda: {"share": size},
+        "constant_offset": lambda: {"torque": torque * either()},
+        "quadratic_drag": lambda: {"gain": torque / speed**2},
+        "gravity": lambda: {"gain": torque, "phase": phase()},
+        "spring": lambda: {"stiffness": torque / pi, "rest": between(-0.5, 0.5)},
+        "torque_ripple": lambda: {
+            "gain": torque,
+            "order": order(),
+            "phase": phase(),
+            "at_motor": float(rng.integers(0, 2)),
+        },
+        "end_stop": lambda: _draw_end_stop(rng, rig, size),
+        "joint_elasticity": lambda: {
+            "frequency": min(3.0 * sqrt(0.3 / size), 60.0) if size > 0.0 else 0.0,
+            "damping": between(0.02, 0.2),
+        },
+        "motor_lag": lambda: {"time": 0.2 * size},
+        "input_delay": lambda: {"time": 0.1 * size},
+        "drive_saturation": lambda: {"limit": 100.0 * (1.0 - 2.0 * size)},
+        "supply_sag": lambda: {"resistance": size, "time": between(0.002, 0.01)},
+        "thermal_fade": lambda: {"fade": size, "time": duration * between(0.15, 0.6)},
+        "load_change": lambda: {"factor": 1.0 + 2.0 * size * either(), "time": duration * between(0.3, 0.7)},
+        "encoder_eccentricity": lambda: {"amplitude": 0.1 * size, "phase": phase()},
+        "periodic_disturbance": lambda: {
+            "gain": torque,
+            "frequency": 0.5 * 30.0 ** between(0.0, 1.0),
+            "phase": phase(),
+        },
+        "other_brake_coast": lambda: {"damping": 5.0 * size * rig.viscous_friction},
+        "other_latch": lambda: {"torque": torque, "width": between(0.06, 0.2), "angle": phase()},
+        "other_speed_hump": lambda: {
+            "torque": torque,
+            "speed": speed * between(0.3, 0.7),
+            "width": speed * between(0.05, 0.12),
+        },
+        "other_angle_gain": lambda: {"share": size, "phase": phase()},
+        "other_cubic_spring": lambda: {
+            "stiffness": 2.0 * torque / speed**3,
+            "flat": speed * between(0.1, 0.4),
+        },
+        "other_bristles": lambda: {"magnitude": torque, "give": between(0.02, 0.08)},
+        "other_duty_sign_cogging": lambda: {
+            "gain": torque,
+            "order": order(),
+            "phase": phase(),
+            "side": either(),
+        },
+        "other_warming_viscosity": lambda: {
+            "damping": 3.0 * size * rig.viscous_friction,
+            "time": duration * between(0.1, 0.4),
+        },
+    }
+    if id not in draws:
+        raise ValueError(f"no effect {id!r}; there are {', '.join(VOCABULARY + OUTSIDE)}")
+    return Concealed(id, draws[id]())
+
+
+def _draw_end_stop(rng: np.random.Generator, rig: Rig, size: float) -> Parameters:
+    """One stop or two, nearer the larger the size; a stop that is not there lies far outside any travel."""
+    far = 1e6
+    reach = rig.half_speed * 0.3 / size * rng.uniform(0.1, 0.3, 2) if size > 0.0 else np.array([far, far])
+    missing = rng.integers(0, 4)  # 0: none below, 1: none above, else both are there
+    return {
+        "low": -far if missing == 0 else -float(reach[0]),
+        "high": far if missing == 1 else float(reach[1]),
+        "stiffness": (TURN * float(rng.uniform(15.0, 50.0))) ** 2,
+        "damping": float(rng.uniform(0.1, 0.4)),
+    }
+
+
+# ---- the MuJoCo model ----
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A compiled MuJoCo model; degrees of freedom: motor 0, link 1 and, with an elastic coupling, gear 2."""
+
+    model: mujoco.MjModel
+    inertia: tuple[float, ...]
+    teeth_stiffness: float  # rad/s^2 per rad
+    teeth_damping: float
+
+
+def _contact(stiffness: float, damping: float, mobility: float, kind: str) -> str:
+    # With an impedance this small MuJoCo's soft constraint is a plain one-sided spring and damper. With the
+    # usual 0.9 and more it also cancels most of the load: the contact is stiffer at rest than it rings.
+    reference = f"{-stiffness * mobility!r} {-damping * mobility!r}"
+    return f'solref{kind}="{reference}" solimp{kind}="0.01 0.01 0.001 0.5 2"'
+
+
+def build(rig: Rig, parameters: dict[str, Parameters]) -> Machine:
+    """Bodies, teeth, stops and coupling as MuJoCo elements; the laws above come in step by step."""
+    share, motor_part = rig.motor_share, rig.motor_friction_share
+    link = 1.0 - share
+    stiffness = (TURN * rig.teeth_frequency) ** 2 * share * link
+    damping = 2.0 * rig.teeth_damping * TURN * rig.teeth_frequency * share * link
+    coupling = parameters.get("joint_elasticity", {"frequency": 0.0, "damping": 0.0})
+    elastic = coupling["frequency"] > 0.0
+    inertia = (share, link * (1.0 - GEAR_SHARE), link * GEAR_SHARE) if elastic else (share, link)
+    viscous = (rig.viscous_friction * motor_part, rig.viscous_friction * (1.0 - motor_part), 0.0)
+
+    bodies = []
+    for name, own, drag in zip(("motor", "link", "gear"), inertia, viscous, strict=False):
+        limit = ""
+        if name == "link" and "end_stop" in parameters:
+            stop = parameters["end_stop"]
+            rate = sqrt(stop["stiffness"])
+            limit = f'limited="true" range="{stop["low"]!r} {stop["high"]!r}" ' + _contact(
+                stop["stiffness"], 2.0 * stop["damping"] * rate, 1.0 / own, "limit"
+            )
+        # MuJoCo's implicit damping divides by (J + h d): h d / 2 taken off J makes it the trapezoidal rule.
+        armature = own - BODY_INERTIA - 0.5 * STEP * drag
+        bodies.append(
+            f'<body><inertial pos="0 0 0" mass="1" diaginertia="{" ".join([str(BODY_INERTIA)] * 3)}"/>'
+            f'<joint name="{name}" axis="0 0 1" armature="{armature!r}" damping="{drag!r}" '
+            # Dry friction stops a body within one step; it creeps at 1e-4 h of the acceleration it holds.
+            f'solreffriction="0 {-1.0 / STEP!r}" solimpfriction="0.9999 0.9999 0.001 0.5 2" {limit}/></body>'
+        )
+    after = "gear" if elastic else "link"
+    mobility = 1.0 / share + 1.0 / inertia[-1]
+    half = 0.5 * rig.backlash
+    tendons = [
+        f'<fixed limited="true" range="{-half!r} {half!r}" {_contact(stiffness, damping, mobility, "limit")}>'
+        f'<joint joint="motor" coef="1"/><joint joint="{after}" coef="-1"/></fixed>'
+    ]
+    if elastic:
+        ahead, behind = share + inertia[2], inertia[1]
+        rate = TURN * coupling["frequency"]
+        stiff, loss = rate**2 * ahead * behind, 2.0 * coupling["damping"] * rate * ahead * behind
+        tendons.append(
+            f'<fixed stiffness="{stiff!r}" damping="{loss!r}" springlength="0">'
+            f'<joint joint="gear" coef="1"/><joint joint="link" coef="-1"/></fixed>'
+        )
+    text = (
+        f'<mujoco><compiler angle="radian"/><option timestep="{STEP!r}" gravity="0 0 0" integrator="Euler" '
+        'iterations="30" tolerance="1e-10"><flag contact="disable" sensor="disable" equality="disable" '
+        f'actuation="disable"/></option><worldbody>{"".join(bodies)}</worldbody>'
+        f"<tendon>{''.join(tendons)}</tendon></mujoco>"
+    )
+    return Machine(mujoco.MjModel.from_xml_string(text), inertia, stiffness, damping)
+
+
+def _mean_duty(time: Array, duty: Array, at: Array, delay: float) -> Array:
+    """Mean of the held duty over the step centred on each instant of `at`.
+
+    The engine's velocities live between its positions, so a kick stands for half a step on either side; the
+    mean also makes any delay exact, whole steps or not.
+    """
+    edges = np.concatenate([time, [time[-1] + 2.0]])
+    area = np.concatenate([[0.0], np.cumsum(duty * np.diff(edges))])
+    bounds = np.concatenate([at - 0.5 * STEP, [at[-1] + 0.5 * STEP]]) - delay
+    mean: Array = np.diff(np.interp(bounds, edges, area)) / STEP
+    mean[np.abs(mean) < 1e-6] = 0.0  # rounding must not look like a duty that is not exactly zero
+    return mean
+
+
+def simulate(
+    rig: Rig,
+    effects: Sequence[Concealed],
+    time: Array,
+    duty: Array,
+    seed: int,
+    noise: bool = True,
+    settle: float = SETTLE,
+) -> Simulated:
+    """Play `duty` (n,) in percent, held from stamp to stamp of `time` (n,), on the rig with its effects.
+
+    Before the first stamp the rig has stood for `settle` seconds at zero duty; it began that at angle zero.
+    """
+    time, duty = np.asarray(time, dtype=float), np.asarray(duty, dtype=float)
+    parameters = {e.id: e.parameters for e in effects}
+    unknown = parameters.keys() - set(VOCABULARY + OUTSIDE)
+    if unknown:
+        raise ValueError(f"no effect {sorted(unknown)[0]!r}; there are {', '.join(VOCABULARY + OUTSIDE)}")
+    if len(parameters) < len(effects):
+        raise ValueError("the same effect is there twice")
+
+    machine = build(rig, parameters)
+    before = round(settle / STEP)
+    steps = before + int(np.ceil((time[-1] - time[0]) / STEP)) + 3
+    # Half a step off, so that a duty that changes at a whole step changes between two kicks.
+    at = (np.arange(steps) - before + 0.5) * STEP
+    command = _mean_duty(time - time[0], duty, at, parameters.get("input_delay", {"time": 0.0})["time"])
+    rng = np.random.default_rng(seed)
+    density = np.array([rig.motor_noise, rig.link_noise]) * (float(noise) / sqrt(STEP))
+    shaking = rng.standard_normal((steps, 2)) * density
+    track = _run(rig, machine, parameters, at, command, shaking)
+
+    # Column order: link angle, motor angle at the instant; link and motor speed half a step after; torque.
+    stamps = time - time[0]
+    link, motor = np.interp(stamps, at, track[:, 0]), np.interp(stamps, at, track[:, 1])
+    link_speed = np.interp(stamps, at + 0.5 * STEP, track[:, 2])
+    motor_speed = np.interp(stamps, at + 0.5 * STEP, track[:, 3])
+    shift = parameters.get("encoder_eccentricity", {"amplitude": 0.0, "phase": 0.0})
+    seen = link + shift["amplitude"] * np.sin(link + shift["phase"])
+    counts = np.floor(seen * rig.counts_per_revolution / TURN + rig.encoder_phase).astype(np.int64)
+    torque = np.interp(stamps, at, track[:, 4])
+    per_turn = rig.counts_per_revolution
+    return Simulated(time, duty, counts, link, link_speed, motor, motor_speed, torque, per_turn)
+
+
+def _run(
+    rig: Rig, machine: Machine, parameters: dict[str, Parameters], at: Array, command: Array, shaking: Array
+) -> Array:
+    """Step the engine through, adding what the laws say; rows as `simulate` reads them."""
+    model = machine.model
+    data = mujoco.MjData(model)
+    drive = [make(parameters[i], rig) for i, make in DRIVE.items() if i in parameters]
+    gain = [make(parameters[i], rig) for i, make in GAIN.items() if i in parameters]
+    on_motor = [make(parameters[i], rig) for i, make in MOTOR.items() if i in parameters]
+    on_link = [make(parameters[i], rig) for i, make in LINK.items() if i in parameters]
+    friction = [make(parameters[i], rig) for i, make in FRICTION.items() if i in parameters]
+    change = parameters.get("load_change")
+    c, forward, backward = rig.input_gain, rig.dead_band_forward, rig.dead_band_backward
+    back_emf = BACK_EMF * rig.viscous_friction / rig.input_gain
+    motor_part = rig.motor_friction_share
+    half_gap, stiffness, damping = 0.5 * rig.backlash, machine.teeth_stiffness, machine.teeth_damping
+    smooth = STEP / 0.005  # oil and bearings follow the mean load of the teeth, not every knock
+
+    track = np.empty((len(at), 5))
+    angles, speeds, applied, dry = data.qpos, data.qvel, data.qfrc_applied, model.dof_frictionloss
+    step, s = mujoco.mj_step, State()
+    for k, (now, duty, motor_shake, link_shake) in enumerate(
+        zip(at.tolist(), command.tolist(), shaking[:, 0].tolist(), shaking[:, 1].tolist(), strict=True)
+    ):
+        places, rates = angles.tolist(), speeds.tolist()
+        s.time, s.duty = now, duty
+        s.motor_angle, s.angle = places[0], places[1]
+        s.motor_speed, s.speed = rates[0], rates[1]
+        for shape in drive:
+            duty = shape(duty, s)
+        s.current = duty - back_emf * s.motor_speed
+        acting = duty - forward if duty > forward else duty + backward if duty < -backward else 0.0
+        torque = c * acting
+        for shape in gain:
+            torque = shape(torque, s)
+        motor, link = torque + motor_shake, link_shake
+        for push in on_motor:
+            motor += push(s)
+        for push in on_link:
+            link += push(s)
+        if friction:
+            twist = places[0] - places[-1]  # the last body is the one behind the teeth
+            press = twist - half_gap if twist > half_gap else min(twist + half_gap, 0.0)
+            load = stiffness * press + damping * (rates[0] - rates[-1]) if press else 0.0
+            s.transmitted += smooth * ((load if load * press > 0.0 else 0.0) - s.transmitted)
+            dry[0] = motor_part * sum([law(rates[0], s) for law in friction])
+            dry[1] = (1.0 - motor_part) * sum([law(rates[1], s) for law in friction])
+        if change and now >= change["time"]:
+            model.dof_armature[1] += machine.inertia[1] * (change["factor"] - 1.0)
+            change = None
+        applied[0], applied[1] = motor, link
+        step(model, data)
+        track[k, :4] = places[1], places[0], speeds[1], speeds[0]
+        track[k, 4] = torque
+    return track
