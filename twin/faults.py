@@ -1,14 +1,15 @@
 """Faults of a recording, as opposed to things that the axis really did.
 
-Each rule asks for something that no axis can do, not just for something unusual: a fault that is invented costs
-more than one that is missed, because a standstill from dry friction or a hit in the backlash is what we want to learn from.
+Each rule asks for something that no axis can do, not just for something unusual: a fault that is invented
+costs more than one that is missed, because a standstill from dry friction or a hit in the backlash is what
+we want to learn from.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -27,26 +28,23 @@ class Fault:
 def find_resolution(values: FloatArray) -> float:
     """Size of one step of a quantised signal, in its own unit; 0.0 when it is not quantised.
 
-    The values of a quantised signal differ by whole numbers of steps. Up to a tenth of a step is allowed for
-    decimals that the logger rounded away.
+    The values of a quantised signal differ by whole numbers of steps. A tenth of a step is allowed for
+    decimals that the logger rounded away, and a few in a hundred may differ (read errors).
     """
     finite = values[np.isfinite(values)]
     levels = np.unique(finite)
     if levels.size < 3 or levels.size > 0.9 * finite.size:
         return 0.0
     spacing = np.diff(levels)
-    spacing = spacing[spacing > 1e-9 * np.ptp(levels)]
+    spacing = np.sort(spacing[spacing > 1e-9 * np.ptp(levels)])
     if spacing.size < 2:
         return 0.0
+    alike = np.searchsorted(spacing, 1.1 * spacing, side="right") - np.searchsorted(spacing, 0.9 * spacing)
+    common = float(np.mean(spacing[np.abs(spacing / spacing[np.argmax(alike)] - 1) < 0.1]))
     for divisor in (1, 2, 3) if spacing.size >= 8 else (1,):
-        step = float(np.min(spacing)) / divisor
-        # the smallest spacing carries the largest rounding error: refine on those about as small
-        ones = spacing[spacing < 1.5 * step]
-        step = float(np.mean(ones)) if divisor == 1 else step
-        ratio = spacing / step
-        # all spacings count, but a long one adds up the rounding errors of many
-        short = ratio < 30
-        if short.sum() >= 2 and np.mean(np.abs(ratio[short] - np.round(ratio[short])) < 0.1) > 0.97:
+        step = common / divisor
+        ratio = spacing[spacing < 20 * step] / step  # a longer one adds up the rounding errors of many
+        if ratio.size >= 2 and np.mean(np.abs(ratio - np.round(ratio)) < 0.1) > 0.97:
             return _refined(levels, step)
     return 0.0
 
@@ -70,7 +68,12 @@ def find_missing(time: FloatArray, values: FloatArray, what: str) -> list[Fault]
         count = last - first + 1
         readings = "1 reading" if count == 1 else f"{count} readings"
         faults.append(
-            Fault("missing", time[first], time[last], f"{readings} of the {what} missing at {time[first]:.3f} s.")
+            Fault(
+                "missing",
+                time[first],
+                time[last],
+                f"{readings} of the {what} missing at {time[first]:.3f} s.",
+            )
         )
     return faults
 
@@ -80,7 +83,8 @@ def find_gaps(time: FloatArray) -> list[Fault]:
     step = np.diff(time)
     holes = np.flatnonzero((step > 5 * np.median(step)) & (step > 0.02))
     return [
-        Fault("gap", time[k], time[k + 1], f"No samples for {step[k]:.3f} s from {time[k]:.3f} s on.") for k in holes
+        Fault("gap", time[k], time[k + 1], f"No samples for {step[k]:.3f} s from {time[k]:.3f} s on.")
+        for k in holes
     ]
 
 
@@ -89,23 +93,21 @@ def unwrap(
 ) -> tuple[FloatArray, list[Fault]]:
     """Undo jumps by a full turn (or by a full counter).
 
-    `turns`: the sizes of a full turn or counter to try, in the unit of `values`. A jump counts when the values
-    never span more than that turn and what is left of the jump without the turn is no more than the motion around it.
+    `turns`: the sizes of a full turn or counter to try, in the unit of `values`. A jump counts when the
+    values never span more than that turn and what is left of the jump without the turn is no more than the
+    motion around it.
     """
     good = np.flatnonzero(np.isfinite(values))
     y = values[good]
     step = np.diff(y)
-    span = np.ptp(y) if y.size else 0.0
     for turn in sorted(turns):
         jumps = np.flatnonzero(np.abs(step) > 0.6 * turn)
-        if not jumps.size or span > 1.01 * turn:
+        if not jumps.size or np.ptp(y) > 1.01 * turn:
             continue
-        left = step - np.round(step / turn) * turn
-        around = _largest_around(np.where(np.abs(step) > 0.6 * turn, np.abs(left), np.abs(step)), 3)
-        ordinary = np.where(np.abs(step) > 0.6 * turn, 0.0, np.abs(step))
-        around = _largest_around(ordinary, 5)
-        fits = np.abs(left[jumps]) <= 3 * around[jumps] + 5 * resolution + 0.005 * turn
-        jumps = jumps[fits]
+        # an axis that moves a quarter turn between samples could not be unwrapped; such steps are read errors
+        around = _largest_around(np.where(np.abs(step) < 0.25 * turn, np.abs(step), 0.0), 5)
+        left = np.abs(step - np.round(step / turn) * turn)
+        jumps = jumps[left[jumps] <= 3 * around[jumps] + 5 * resolution + 0.005 * turn]
         if not jumps.size:
             continue
         shift = np.zeros(y.size)
@@ -113,7 +115,12 @@ def unwrap(
         unwrapped = values.copy()
         unwrapped[good] = y + np.cumsum(shift)
         faults = [
-            Fault("wrap", time[good[k]], time[good[k + 1]], f"The reading wraps at {time[good[k + 1]]:.3f} s; unwrapped.")
+            Fault(
+                "wrap",
+                time[good[k]],
+                time[good[k + 1]],
+                f"The reading wraps at {time[good[k + 1]]:.3f} s; unwrapped.",
+            )
             for k in jumps
         ]
         return unwrapped, faults
@@ -122,10 +129,7 @@ def unwrap(
 
 def _largest_around(size: FloatArray, reach: int) -> FloatArray:
     """Largest of the values within `reach` samples, for each sample."""
-    padded = np.pad(size, reach, mode="edge") if size.size else size
-    if not size.size:
-        return size
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1), dtype=np.float64)
+    return np.asarray(maximum_filter1d(size, 2 * reach + 1, mode="nearest"), dtype=np.float64)
 
 
 def find_outliers(values: FloatArray, resolution: float) -> BoolArray:
@@ -154,10 +158,12 @@ def find_outliers(values: FloatArray, resolution: float) -> BoolArray:
 
 
 def find_held(time: FloatArray, values: FloatArray, resolution: float) -> tuple[list[Fault], BoolArray]:
-    """Freezes and sensor saturation of a position: it stands exactly still and leaves in a way that rest does not.
+    """Freezes and sensor saturation of a position: it stands exactly still and leaves in a way that rest
+    does not.
 
-    An axis that really stood still starts from rest: its first step is not larger than the ones that follow. See
-    `_verdict` for what is asked of each standstill. Returns the faults and the samples to leave out.
+    An axis that really stood still starts from rest: its first step is not larger than the ones that
+    follow. See `_verdict` for what is asked of each standstill. Returns the faults and the samples to
+    leave out.
     """
     out = np.zeros(values.size, dtype=bool)
     faults: list[Fault] = []
@@ -166,6 +172,8 @@ def find_held(time: FloatArray, values: FloatArray, resolution: float) -> tuple[
         return faults, out
     t, y = time[good], values[good]
     step = np.diff(y)
+    if resolution == 0:
+        resolution = 1e-4 * float(np.ptp(y))  # nothing is known of the grain: what we would not call motion
     still = [(a, b + 1) for a, b in runs(step == 0) if b - a + 1 >= 10 and b + 1 < y.size - 1]
     if not still:
         return faults, out
@@ -185,14 +193,12 @@ def find_held(time: FloatArray, values: FloatArray, resolution: float) -> tuple[
     return faults, out
 
 
-def _verdict(
-    t: FloatArray, y: FloatArray, a: int, b: int, fastest: float, resolution: float
-) -> str | None:
+def _verdict(t: FloatArray, y: FloatArray, a: int, b: int, fastest: float, resolution: float) -> str | None:
     """'freeze', 'saturation' or None for the standstill y[a] = ... = y[b].
 
     Freeze: the jump at its end is faster than the axis ever moves; or the axis was moving when it began
-    and the jump is far larger than any step around. Moving on both sides as if nothing had been between (no braking, no
-    starting) is saturation at the extreme of the range, a freeze anywhere else.
+    and the jump is far larger than any step around. Moving on both sides as if nothing had been between
+    (no braking, no starting) is saturation at the extreme of the range, a freeze anywhere else.
     """
     jump = abs(y[b + 1] - y[b])
     before = np.abs(np.diff(y[max(0, a - 5) : a + 1]))
@@ -221,15 +227,21 @@ def _verdict(
 def find_contradicted(
     time: FloatArray, values: FloatArray, speed: FloatArray, resolution: float
 ) -> tuple[list[Fault], BoolArray]:
-    """Freezes that a reported speed gives away: it stands at one value other than zero while the position does not move."""
+    """Freezes that a reported speed gives away: it stands at one value other than zero while the position
+    does not move."""
     out = np.zeros(values.size, dtype=bool)
     faults = []
-    same = (np.diff(values) == 0) & (np.diff(speed) == 0) & (speed[1:] != 0)
-    for a, last in runs(same):
+    same = (np.diff(values) == 0) & (np.diff(speed) == 0)
+    # the last digit of a speed may stay lit at rest
+    least = max(3 * find_resolution(speed), 0.02 * float(np.max(np.abs(speed))))
+    for a, last in runs(same & (np.abs(speed[1:]) > least)):
         b = last + 1
         missed = abs(speed[b]) * (time[b] - time[a])
-        if last - a + 1 >= 10 and missed > max(20 * resolution, 1e-6):
-            says = f"The reading froze at {time[a]:.3f} s for {time[b] - time[a]:.3f} s while the speed read {speed[b]:.3g}."
+        if last - a + 1 >= 10 and missed > 20 * resolution:
+            lasts = time[b] - time[a]
+            says = (
+                f"The reading froze at {time[a]:.3f} s for {lasts:.3f} s while the speed read {speed[b]:.3g}."
+            )
             faults.append(Fault("freeze", time[a], time[b], says))
             out[a + 1 : b + 1] = True
     return faults, out

@@ -1,7 +1,7 @@
 """Tables as they lie on disk: CSV, Parquet, MAT (v5 and v7.3), MDF4 and MCAP.
 
-`open_table` reads the names of the columns; the numbers are read when they are asked for, so that columns which nobody
-needs may hold anything.
+`open_table` reads the names of the columns; the numbers are read when they are asked for, so that columns
+which nobody needs may hold anything.
 """
 
 import csv
@@ -24,9 +24,9 @@ FloatArray = npt.NDArray[np.float64]
 class Table:
     """Named columns of one file.
 
-    `read(names)` gives equally long float columns, NaN where a cell is empty or not finite; when columns have clocks of
-    their own, the rows are those of the first name. `clock`: the pseudo-column with the format's own stamps in s.
-    `where(row)` says in words where a row is found in the file.
+    `read(names)` gives equally long float columns, NaN where a cell is empty or not finite; when columns
+    have clocks of their own, the rows are those of the first name. `clock`: the pseudo-column with the
+    format's own stamps in s. `where(row)` says in words where a row is found in the file.
     """
 
     name: str
@@ -65,7 +65,7 @@ def open_table(path: Path) -> Table:
     return readers.get(path.suffix.lower(), _open_text)(path)
 
 
-# --- text ----------------------------------------------------------------------------------------------------
+# --- text ---
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,8 @@ class TextRows:
 def read_rows(path: Path) -> TextRows:
     """The header and the lines of a delimited text file; separator and decimal comma are recognised.
 
-    Raises BadInput for another encoding, binary data, an empty file, a missing header or a name that comes twice.
+    Raises BadInput for another encoding, binary data, an empty file, a missing header or a name that comes
+    twice.
     """
     text = _decode(path)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
@@ -97,11 +98,11 @@ def read_rows(path: Path) -> TextRows:
         raise BadInput(f"{path}: is empty; give a recording with a header line and rows of numbers")
     head = lines[first] if first < len(lines) else comment
     separator = _separator(head)
-    cells = _split(head, separator)
+    cells = split_cells(head, separator)
     if all(_is_number(cell) for cell in cells):
         # numpy.savetxt puts the names in a comment above the numbers
-        cells = _split(comment, _separator(comment)) if comment else cells
-        if len(cells) != len(_split(head, separator)) or all(_is_number(cell) for cell in cells):
+        cells = split_cells(comment, _separator(comment)) if comment else cells
+        if len(cells) != len(split_cells(head, separator)) or all(_is_number(cell) for cell in cells):
             raise BadInput(f"{path}: line {first + 1} holds numbers; the first line must name the columns")
         first -= 1
     header = tuple(cells)
@@ -123,16 +124,20 @@ def _decode(path: Path) -> str:
         data = path.read_bytes()
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror})") from None
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff") or (len(data) > 3 and 0 in (data[0], data[1]) and data[2:4].count(0) == 1):
+    alternating = len(data) > 3 and data[:2].count(0) == 1 and data[2:4].count(0) == 1
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff") or alternating:
         raise BadInput(f"{path}: looks like UTF-16 text; save it as UTF-8")
     if b"\0" in data:
-        raise BadInput(f"{path}: byte {data.index(0)} is 0: a binary file, not a text table; give CSV or rename it")
+        raise BadInput(
+            f"{path}: byte {data.index(0)} is 0: a binary file, not a text table; export it as CSV"
+        )
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise BadInput(
-            f"{path}: line {line}: byte 0x{data[error.start]:02x} is not UTF-8, perhaps Latin-1; save it as UTF-8"
+            f"{path}: line {line}: byte 0x{data[error.start]:02x} is not UTF-8, perhaps Latin-1; "
+            "save it as UTF-8"
         ) from None
 
 
@@ -140,7 +145,8 @@ def _separator(head: str) -> str | None:
     return next((mark for mark in (";", "\t", ",") if mark in head), None)
 
 
-def _split(line: str, separator: str | None) -> list[str]:
+def split_cells(line: str, separator: str | None) -> list[str]:
+    """The cells of one line, without blanks and quotes around them."""
     if separator is None:
         return line.split()
     try:
@@ -172,10 +178,10 @@ def _open_text(path: Path) -> Table:
 def _text_columns(rows: TextRows, names: Sequence[str]) -> list[FloatArray]:
     width = len(rows.header)
     use = [rows.header.index(name) for name in names]
-    marks = 0 if rows.separator is None else sum(line.count(rows.separator) for line in rows.lines)
-    if rows.separator is not None and marks == (width - 1) * len(rows.lines):
+    mark = rows.separator
+    if mark is not None and {line.count(mark) for line in rows.lines} == {width - 1}:
         try:
-            table = np.loadtxt(rows.lines, delimiter=rows.separator, usecols=use, comments=None, ndmin=2)
+            table = np.loadtxt(rows.lines, delimiter=mark, usecols=use, comments=None, ndmin=2)
         except (ValueError, OverflowError):
             pass
         else:
@@ -188,7 +194,7 @@ def _text_columns_slowly(rows: TextRows, names: Sequence[str], use: Sequence[int
     width = len(rows.header)
     table = np.empty((len(use), len(rows.lines)))
     for k, line in enumerate(rows.lines):
-        cells = _split(line, rows.separator)
+        cells = split_cells(line, rows.separator)
         if len(cells) == width + 1 and not cells[-1]:
             cells.pop()
         if len(cells) != width:
@@ -200,13 +206,14 @@ def _text_columns_slowly(rows: TextRows, names: Sequence[str], use: Sequence[int
             try:
                 table[i, k] = float(cells[column]) if cells[column] else math.nan
             except ValueError:
+                where = f"line {rows.numbers[k]}, column '{names[i]}'"
                 raise BadInput(
-                    f"{rows.name}: line {rows.numbers[k]}, column '{names[i]}': {cells[column][:40]!r} is not a number"
+                    f"{rows.name}: {where}: {cells[column][:40]!r} is no number; correct or empty it"
                 ) from None
     return [np.where(np.isfinite(column), column, np.nan) for column in table]
 
 
-# --- binary formats ------------------------------------------------------------------------------------------
+# --- binary formats ---
 
 
 def _missing(path: Path, package: str) -> BadInput:
@@ -247,7 +254,8 @@ def _open_parquet(path: Path) -> Table:
         columns = {}
         for name in table.column_names:
             kind = table.schema.field(name).type
-            if pyarrow.types.is_integer(kind) or pyarrow.types.is_floating(kind) or pyarrow.types.is_decimal(kind):
+            is_number = (pyarrow.types.is_integer, pyarrow.types.is_floating, pyarrow.types.is_decimal)
+            if any(test(kind) for test in is_number):
                 columns[name] = table[name].cast(pyarrow.float64(), safe=False).to_numpy().astype(np.float64)
     except Exception as error:  # a damaged file makes the reader raise anything
         raise _unreadable(path, "Parquet", error) from None
@@ -358,6 +366,7 @@ def _open_mcap(path: Path) -> Table:
     signals: dict[str, tuple[FloatArray, FloatArray]] = {}
     for (topic, key), (stamps, values) in gathered.items():
         unique = sum(other == key for _, other in gathered) == 1
-        seconds = (np.array(stamps, dtype=np.int64) - origin) * 1e-9  # as integers: a double holds no epoch ns
+        # subtracted as integers: a double cannot hold nanoseconds since 1970
+        seconds = 1e-9 * (np.array(stamps, dtype=np.int64) - origin).astype(np.float64)
         signals[key if unique else f"{topic}/{key}"] = (seconds, np.array(values))
     return _from_signals(path, signals)

@@ -1,6 +1,5 @@
 """A recording of one axis, measured or simulated alike, and how to load it from what lies on disk."""
 
-import csv
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,7 +20,8 @@ from twin.faults import (
     find_resolution,
     unwrap,
 )
-from twin.formats import Table, open_table, read_rows
+from twin.formats import Table, open_table
+from twin.manifest import Entry, entries_of
 from twin.rig import Clock, Column, LoopRig, Rig, guess_rig, guess_time, read_rig
 
 __all__ = ["Fault", "FloatArray", "Loop", "Recording", "Rig", "load", "read_rig"]
@@ -55,8 +55,8 @@ class Recording:
 
     `output` is NaN where a reading is left out (`faults` says why); `input` is finite everywhere.
     `resolution` is the size of one encoder count in `output_unit`, 0.0 when the output is not quantised.
-    `optional` holds motor_position (rad or m, NaN where left out), speed, current (A), supply (V), temperature (K) and, with a
-    loop, reference (output_unit), where the recording has them.
+    `optional` holds motor_position (rad or m, NaN where left out), speed, current (A), supply (V),
+    temperature (K) and, with a loop, reference (output_unit), where the recording has them.
     """
 
     name: str
@@ -97,7 +97,8 @@ class Recording:
         keep = (self.time >= start) & (self.time <= end)
         if np.count_nonzero(keep) < 2:
             raise BadInput(
-                f"{self.name}: no samples from {start:g} to {end:g} s; the recording lasts {self.time[-1]:g} s"
+                f"{self.name}: no samples from {start:g} to {end:g} s; "
+                f"the recording lasts {self.time[-1]:g} s"
             )
         origin, last = self.time[keep][0], self.time[keep][-1]
         return replace(
@@ -118,16 +119,17 @@ class Recording:
 def load(paths: Sequence[Path], rig: Path | None = None) -> tuple[list[Recording], Rig]:
     """Load recordings and manifests, all with the same rig.
 
-    `paths`: recordings or manifests (a CSV with a column `file`, relative to the manifest; optional columns `role`, `start` and
-    `end` in s to cut a window, and numeric ones, which are known quantities of that recording).
-    `rig`: the rig file; without one, the rig.toml beside the first path, else a guess from the column names.
+    `paths`: recordings or manifests (a CSV with a column `file`, relative to the manifest; optional
+    columns `role`, `start` and `end` in s to cut a window, and numeric ones, which are known quantities of
+    that recording). `rig`: the rig file; without one, the rig.toml beside the first path, else a guess
+    from the column names.
 
-    Raises BadInput for anything that cannot be used, also when input or output never changes in any of the recordings. In a set, single
-    recordings may stand still: that is how a dead band shows.
+    Raises BadInput for anything that cannot be used, also when input or output never changes in any of the
+    recordings. In a set, single recordings may stand still: that is how a dead band shows.
     """
     if not paths:
         raise BadInput("no recording given; name at least one file")
-    entries = [entry for path in paths for entry in _entries(Path(path))]
+    entries = [entry for path in paths for entry in entries_of(Path(path))]
     chosen = _choose_rig([Path(paths[0]), entries[0].path], rig)
     tables: dict[Path, Table] = {}
     recordings = []
@@ -139,72 +141,7 @@ def load(paths: Sequence[Path], rig: Path | None = None) -> tuple[list[Recording
         recordings.append(_recording(table, chosen, entry))
     assert chosen is not None
     _check_moves(recordings)
-    return recordings, chosen
-
-
-@dataclass(frozen=True)
-class _Entry:
-    """One recording to load: a path given by the user or a line of a manifest."""
-
-    path: Path
-    role: str = "train"
-    known: Mapping[str, float] = field(default_factory=dict)
-    start: float | None = None
-    end: float | None = None
-
-
-def _entries(path: Path) -> list[_Entry]:
-    if path.suffix.lower() not in (".csv", ".txt", ".tsv") or not path.is_file():
-        return [_Entry(path)]
-    rows = read_rows(path)
-    if "file" not in rows.header:
-        return [_Entry(path)]
-    return _manifest(path)
-
-
-def _manifest(path: Path) -> list[_Entry]:
-    rows = read_rows(path)
-    cells = list(csv.reader(rows.lines, delimiter=rows.separator or ","))
-    table: list[dict[str, str]] = []
-    for number, row in zip(rows.numbers, cells, strict=False):
-        if len(row) != len(rows.header):
-            raise BadInput(f"{path}: line {number} has {len(row)} cells and the header {len(rows.header)}")
-        table.append({name: cell.strip() for name, cell in zip(rows.header, row, strict=True)})
-    if not table:
-        raise BadInput(f"{path}: a manifest without rows; add a line per recording")
-    numeric = [
-        name
-        for name in rows.header
-        if name not in ("file", "role", "start", "end")
-        and any(row[name] for row in table)
-        and all(_finite(row[name]) is not None for row in table if row[name])
-    ]
-    entries = []
-    for number, row in zip(rows.numbers, table, strict=True):
-        where = f"{path}: line {number}"
-        file = path.parent / row["file"]
-        if not row["file"] or not file.is_file():
-            raise BadInput(f"{where}, column 'file': no such file '{row['file']}'; paths are relative to the manifest")
-        role = row.get("role") or "train"
-        if role not in ("train", "holdout"):
-            raise BadInput(f"{where}, column 'role': '{role}' is not known; use train or holdout")
-        window: list[float | None] = []
-        for name in ("start", "end"):
-            value = _finite(row.get(name, ""))
-            if row.get(name) and value is None:
-                raise BadInput(f"{where}, column '{name}': '{row[name]}' is not a number of seconds")
-            window.append(value)
-        known = {name: value for name in numeric if (value := _finite(row[name])) is not None}
-        entries.append(_Entry(file, role, known, *window))
-    return entries
-
-
-def _finite(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
+    return _share_resolution(recordings, chosen.output.resolution), chosen
 
 
 def _choose_rig(beside: Sequence[Path], rig: Path | None) -> Rig | None:
@@ -223,10 +160,11 @@ def _guess(table: Table) -> Rig:
     return guess_rig(table.name, table.names, table.clock is not None, {rig.input.name: peak})
 
 
-def _recording(table: Table, rig: Rig, entry: _Entry) -> Recording:
-    wanted = _wanted(table, rig)
-    raw = dict(zip(wanted, table.columns(list(wanted)), strict=True))
-    time, rows, faults = _time(table, rig.time, raw, rig)
+def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
+    clock = _clock(table, rig.time)
+    wanted = _wanted(rig, clock)
+    raw = dict(zip(wanted, table.columns(wanted), strict=True))
+    time, rows, faults = _time(table, clock, raw, rig)
     raw = {name: values[rows] for name, values in raw.items()}
     drive, held = _hold(time, _convert(raw[rig.input.name], rig.input), "input", table.name)
     faults += held
@@ -263,44 +201,46 @@ def _recording(table: Table, rig: Rig, entry: _Entry) -> Recording:
         recording = recording.part(entry.start or 0.0, math.inf if entry.end is None else entry.end)
     if recording.time.size < _LEAST_SAMPLES:
         raise BadInput(
-            f"{table.name}: only {recording.time.size} samples; at least {_LEAST_SAMPLES} are needed to say anything"
+            f"{table.name}: only {recording.time.size} samples; "
+            f"at least {_LEAST_SAMPLES} are needed to say anything, record for longer"
         )
     return recording
 
 
-def _wanted(table: Table, rig: Rig) -> dict[str, None]:
+def _clock(table: Table, clock: Clock) -> Clock:
+    """The clock with its column settled: as the rig file says, else the format's own stamps, else by name."""
+    if clock.column is not None or clock.sample_time is not None:
+        return clock
+    found = Clock(table.clock) if table.clock is not None else guess_time(table.names)
+    if found is None:
+        raise BadInput(
+            f"{table.name}: no time column is named; give [time] column or sample_time in the rig file; "
+            f"columns are: {', '.join(table.names)}"
+        )
+    return found
+
+
+def _wanted(rig: Rig, clock: Clock) -> list[str]:
     """Names of the columns to read, the output first (its clock is the clock of the recording)."""
     names = [rig.output.name, rig.input.name, *(column.name for column in rig.optional.values())]
-    if rig.loop is not None:
-        names.append(rig.loop.reference)
-    if rig.time.column is not None:
-        names.append(rig.time.column)
-    elif rig.time.sample_time is None:
-        clock = table.clock or (guess := guess_time(table.names)) and guess.column
-        if clock is None:
-            raise BadInput(
-                f"{table.name}: no time column is named; give [time] column or sample_time in the rig file; "
-                f"columns are: {', '.join(table.names)}"
-            )
-        names.append(clock)
-    return dict.fromkeys(names)
+    names += [rig.loop.reference] if rig.loop is not None else []
+    names += [clock.column] if clock.column is not None else []
+    return list(dict.fromkeys(names))
 
 
 def _time(
     table: Table, clock: Clock, raw: Mapping[str, FloatArray], rig: Rig
 ) -> tuple[FloatArray, npt.NDArray[np.intp], list[Fault]]:
     """Seconds from 0, strictly increasing, the rows that they belong to, and faults of the clock."""
-    size = len(raw[rig.output.name])
-    if clock.sample_time is not None:
-        return np.arange(size) * clock.sample_time, np.arange(size), []
-    guessed = None if clock.column or table.clock else guess_time(table.names)
-    column = clock.column or table.clock or (guessed.column if guessed else None)
-    assert column is not None
+    column = clock.column
+    if column is None:
+        rows = np.arange(len(raw[rig.output.name]))
+        return rows.astype(np.float64) * (clock.sample_time or 1.0), rows, []
     stamps = raw[column]
     rows = np.flatnonzero(np.isfinite(stamps))
     if rows.size < 2:
         raise BadInput(f"{table.name}: column '{column}' holds fewer than two time stamps")
-    time = (stamps[rows] - stamps[rows[0]]) * (guessed.factor if guessed else clock.factor)
+    time: FloatArray = np.asarray((stamps[rows] - stamps[rows[0]]) * clock.factor, dtype=np.float64)
     step = np.diff(time)
     back = np.flatnonzero(step < 0)
     if back.size:
@@ -312,16 +252,16 @@ def _time(
     same = np.flatnonzero(step == 0)
     if same.size > 0.05 * step.size:
         raise BadInput(
-            f"{table.name}: {table.where(int(rows[same[0] + 1]))}: {same.size} time stamps in column '{column}' come "
-            "twice; its resolution is too coarse, give [time] sample_time instead"
+            f"{table.name}: {table.where(int(rows[same[0] + 1]))}: {same.size} time stamps in column "
+            f"'{column}' come twice; its resolution is too coarse, give [time] sample_time instead"
         )
     faults = [
-        Fault("clock", time[k], time[k], f"The stamp {time[k]:.3f} s comes twice; the second sample is dropped.")
+        Fault("clock", time[k], time[k], f"The stamp {time[k]:.4f} s comes twice; one sample is dropped.")
         for k in same
     ]
     keep = np.concatenate(([True], step > 0))
-    if rows.size < size:
-        count = size - rows.size
+    if rows.size < stamps.size:
+        count = stamps.size - rows.size
         faults.append(Fault("missing", 0.0, time[-1], f"{count} samples without a time stamp are dropped."))
     return time[keep], rows[keep], faults
 
@@ -350,7 +290,9 @@ def _optional(
         cleaned, _, faults = _clean(time, values, column, None)
         return cleaned, [replace(f, says=f"Motor position: {f.says}") for f in faults]
     faults = find_missing(time, values, words)
-    spikes = find_outliers(values, find_resolution(values)) if key != "speed" else np.zeros(values.size, dtype=bool)
+    spikes = np.zeros(values.size, dtype=bool)
+    if key != "speed":  # a reported speed is too coarse and too noisy to be judged
+        spikes = find_outliers(values, find_resolution(values))
     faults += _outliers(time, values, spikes, words)
     held, _ = _hold(time, np.where(spikes, np.nan, values), words, name)
     return held, faults
@@ -358,8 +300,8 @@ def _optional(
 
 def _outliers(time: FloatArray, values: FloatArray, spikes: BoolArray, what: str) -> list[Fault]:
     return [
-        Fault("outlier", time[k], time[k], f"The {what} jumps to {values[k]:.4g} at {time[k]:.3f} s and comes back.")
-        for k in np.flatnonzero(spikes)
+        Fault("outlier", t, t, f"The {what} jumps to {value:.4g} at {t:.3f} s and comes back.")
+        for t, value in zip(time[spikes], values[spikes], strict=True)
     ]
 
 
@@ -383,19 +325,21 @@ def _clean(
         frozen, out = find_held(time, output, resolution)
         if speed is not None:
             contradicted, more = find_contradicted(time, output, speed, resolution)
-            frozen += [f for f in contradicted if not any(f.start < g.end and g.start < f.end for g in frozen)]
+            seen = [(f.start, f.end) for f in frozen]
+            frozen += [f for f in contradicted if not any(f.start < b and a < f.end for a, b in seen)]
             out |= more
         faults += frozen
         output = np.where(out, np.nan, output)
     return output, resolution, faults
 
 
-def _known(rig: Rig, table: Table, entry: _Entry) -> dict[str, float]:
-    known = {key: _lookup(value, table, entry, f"{rig.name} [known] {key}") for key, value in rig.known.items()}
+def _known(rig: Rig, table: Table, entry: Entry) -> dict[str, float]:
+    where = f"{rig.name} [known]"
+    known = {key: _lookup(value, table, entry, f"{where} {key}") for key, value in rig.known.items()}
     return {**known, **entry.known}
 
 
-def _lookup(value: float | str, table: Table, entry: _Entry, where: str) -> float:
+def _lookup(value: float | str, table: Table, entry: Entry, where: str) -> float:
     """A number, or the manifest column or scalar of the file that a name stands for."""
     if not isinstance(value, str):
         return value
@@ -405,11 +349,12 @@ def _lookup(value: float | str, table: Table, entry: _Entry, where: str) -> floa
         return table.scalars[value]
     names = ", ".join([*entry.known, *table.scalars]) or "none"
     raise BadInput(
-        f"{where} = '{value}' is neither a column of the manifest nor a scalar in {table.name}; there are: {names}"
+        f"{where} = '{value}' is neither a column of the manifest nor a scalar in {table.name}; "
+        f"there are: {names}"
     )
 
 
-def _loop(loop: LoopRig, rig: Rig, table: Table, entry: _Entry) -> Loop:
+def _loop(loop: LoopRig, rig: Rig, table: Table, entry: Entry) -> Loop:
     into = abs(rig.input.factor)
     outof = abs(rig.output.factor)
 
@@ -430,6 +375,14 @@ def _loop(loop: LoopRig, rig: Rig, table: Table, entry: _Entry) -> Loop:
     )
 
 
+def _share_resolution(recordings: list[Recording], given: float | None) -> list[Recording]:
+    """One encoder, one resolution: the median of what each recording shows, where they agree."""
+    found = np.array([recording.resolution for recording in recordings if recording.resolution > 0])
+    if given is not None or not found.size or np.ptp(found) > 0.1 * np.median(found):
+        return recordings
+    return [replace(recording, resolution=float(np.median(found))) for recording in recordings]
+
+
 def _check_moves(recordings: Sequence[Recording]) -> None:
     for what in ("input", "output"):
         values = np.concatenate([getattr(recording, what) for recording in recordings])
@@ -437,5 +390,6 @@ def _check_moves(recordings: Sequence[Recording]) -> None:
         if values.size < 2 or np.ptp(values) == 0:
             said = f"{values[0]:g}" if values.size else "nothing"
             raise BadInput(
-                f"{recordings[0].name}: the {what} is {said} all the time; record the axis moving under a changing input"
+                f"{recordings[0].name}: the {what} is {said} all the time; "
+                "record the axis moving under a changing input"
             )

@@ -67,7 +67,8 @@ class Column:
 
 @dataclass(frozen=True)
 class Clock:
-    """Where time comes from: a column, a constant sample time, or (both None) the file format's own stamps."""
+    """Where time comes from: a column, a constant sample time, or (both None) the file format's own
+    stamps."""
 
     column: str | None = None
     factor: float = 1.0  # s per unit
@@ -76,7 +77,8 @@ class Clock:
 
 @dataclass(frozen=True)
 class LoopRig:
-    """The rig's own position loop as the rig file describes it; a name stands for a manifest column or a scalar.
+    """The rig's own position loop as the rig file describes it; a name stands for a manifest column or a
+    scalar.
 
     Numbers are in the units that the user wrote for input and output; they are converted with the recording.
     """
@@ -94,7 +96,8 @@ class LoopRig:
 
 @dataclass(frozen=True)
 class Rig:
-    """What the columns are, what is known already and what the first model contains besides the base effects."""
+    """What the columns are, what is known already and what the first model contains besides the base
+    effects."""
 
     name: str
     time: Clock
@@ -116,10 +119,11 @@ class Rig:
 def read_rig(path: Path) -> Rig:
     """Read a rig file.
 
-    Beyond the plain keys, a column may have `offset` and `scale` (value = (raw - offset) * scale, before the unit),
-    `resolution` (one count, in the column's unit) and, for the input, `full_scale` (raw value at full drive; the
-    unit is then "%"). [loop] takes numbers or names of manifest columns (or of scalars in a MAT file), and `gain_scale`
-    multiplies the gain.
+    Beyond the plain keys, a column may have `offset` and `scale` (value = (raw - offset) * scale, before the
+    unit) and `resolution` (one count, in the column's unit). An input that is logged in timer ticks has
+    `full_scale`, the ticks at full drive, in place of a unit: full_scale = 5299 makes 5299 ticks 100 %.
+    [known] and the gains of [loop] are numbers or names of manifest columns (or of scalars in a MAT file);
+    `gain_scale` multiplies the gain.
 
     Raises BadInput for TOML that cannot be read, an unknown key, a wrong unit, or a value of the wrong kind.
     """
@@ -150,7 +154,9 @@ def _rig(table: Mapping[str, Any], where: str) -> Rig:
     _check_keys(structure, ("effects",), f"{where} [structure]")
     effects = structure.get("effects", [])
     if not isinstance(effects, list) or not all(isinstance(e, str) for e in effects):
-        raise BadInput(f'{where} [structure]: effects = {effects!r} must be a list of names, such as ["gravity"]')
+        raise BadInput(
+            f'{where} [structure]: effects = {effects!r} must be a list of names, such as ["gravity"]'
+        )
     return Rig(
         name=where,
         time=_clock(_table(table, "time", where), f"{where} [time]"),
@@ -195,7 +201,9 @@ def _column(table: Mapping[str, Any], units: Units, where: str, more: Sequence[s
     scale = _number(table, "scale", where) if "scale" in table else 1.0
     if scale == 0:
         raise BadInput(f"{where}: scale = 0 would make every value 0; give another scale")
-    per_revolution = _number(table, "counts_per_revolution", where) if "counts_per_revolution" in table else None
+    per_revolution = (
+        _number(table, "counts_per_revolution", where) if "counts_per_revolution" in table else None
+    )
     if per_revolution is not None and per_revolution <= 0:
         raise BadInput(f"{where}: counts_per_revolution = {per_revolution:g} must be greater than 0")
     if written == "count":
@@ -224,7 +232,17 @@ def _column(table: Mapping[str, Any], units: Units, where: str, more: Sequence[s
 
 
 def _loop(table: Mapping[str, Any], where: str) -> LoopRig:
-    allowed = ("reference", "law", "gain", "gain_scale", "kp", "kv", "limit", "reference_rate_limit", "minimum")
+    allowed = (
+        "reference",
+        "law",
+        "gain",
+        "gain_scale",
+        "kp",
+        "kv",
+        "limit",
+        "reference_rate_limit",
+        "minimum",
+    )
     _check_keys(table, allowed, where)
     for key in ("reference", "law"):
         if key not in table:
@@ -306,7 +324,7 @@ def _unit(table: Mapping[str, Any], units: Units, where: str, default: str | Non
     return units[value]
 
 
-# --- without a rig file --------------------------------------------------------------------------------------
+# --- without a rig file ---
 
 # Column names that mean the same thing wherever we have seen them, best first.
 _TIME_NAMES = ("t", "time", "timestamp", "times", "seconds", "clock")
@@ -326,7 +344,20 @@ _INPUT_NAMES = {
     "command": "%",
     "u": "%",
 }
-_POSITION_NAMES = ("counts", "count", "encoder", "position", "pos", "theta", "angle", "qm", "q", "phi", "y", "output")
+_POSITION_NAMES = (
+    "counts",
+    "count",
+    "encoder",
+    "position",
+    "pos",
+    "theta",
+    "angle",
+    "qm",
+    "q",
+    "phi",
+    "y",
+    "output",
+)
 _SPEED_NAMES = ("speed", "velocity", "omega", "motorspeed", "vel")
 _UNIT_SPELLINGS = {
     "sec": "s",
@@ -350,7 +381,9 @@ _UNIT_SPELLINGS = {
 }
 _BRACKETED = re.compile(r"^(.*?)[\s_]*[(\[]\s*([^)\]]+?)\s*[)\]]$")
 _SUFFIXED = re.compile(
-    r"^(.+?)[_ ](rad_s|radps|rad/s|m_s|m/s|mps|rpm|rad|deg|rev|counts?|m|s|sec|ms|us|ns|pct|percent|%|v|a|nm|n)$", re.I
+    r"^(.+?)[_ ](rad_s|radps|rad/s|m_s|m/s|mps|rpm|rad|deg|rev|counts?|m"
+    r"|s|sec|ms|us|ns|pct|percent|%|v|a|nm|n)$",
+    re.I,
 )
 
 
@@ -364,7 +397,8 @@ def _split_unit(name: str) -> tuple[str, str | None]:
 
 
 def _pick(names: Sequence[str], known: Iterable[str], units: Units) -> tuple[str, str, str | None] | None:
-    """The first column whose name is one of `known`, in that order, and whose unit, if written, is possible."""
+    """The first column whose name is one of `known`, in that order, and whose unit, if written, is
+    possible."""
     split = [(name, *_split_unit(name)) for name in names]
     for wanted in known:
         for name, base, unit in split:
@@ -416,9 +450,12 @@ def guess_rig(name: str, names: Sequence[str], has_clock: bool, duty_peak: Mappi
     if clock is not None and clock.column is not None:
         unit = next(u for u, (_, factor) in TIME_UNITS.items() if factor == clock.factor)
         assumed.append(f"time is column '{clock.column}', in {unit}")
-    assumed.append(f"the input is column '{drive[0]}', in {'fractions of full drive' if unit_in == '1' else unit_in}")
+    assumed.append(
+        f"the input is column '{drive[0]}', in {'fractions of full drive' if unit_in == '1' else unit_in}"
+    )
     assumed.append(f"the output is column '{reading[0]}', in {unit_out}")
     rig = _rig(
-        {"input": {"column": drive[0], "unit": unit_in}, "output": {"column": reading[0], "unit": unit_out}}, name
+        {"input": {"column": drive[0], "unit": unit_in}, "output": {"column": reading[0], "unit": unit_out}},
+        name,
     )
     return replace(rig, time=clock or Clock(), assumed=tuple(assumed))
