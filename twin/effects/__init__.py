@@ -1,0 +1,1 @@
+"""The pages of physics; twin.effects.catalogue lists them."""

@@ -1,0 +1,74 @@
+"""The explicit list of effects. Adding one is a file beside this one and its name here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from twin.effects import (
+    backlash,
+    constant_offset,
+    coulomb_friction,
+    dead_band,
+    drive_saturation,
+    encoder_eccentricity,
+    end_stop,
+    friction_asymmetry,
+    gravity,
+    inertia,
+    input_delay,
+    joint_elasticity,
+    load_change,
+    load_dependent_friction,
+    motor_lag,
+    payload,
+    payload_gravity,
+    periodic_disturbance,
+    position_dependent_friction,
+    quadratic_drag,
+    spring,
+    stribeck_friction,
+    supply_sag,
+    thermal_fade,
+    torque_ripple,
+    viscous_friction,
+)
+from twin.effects.effect import Effect
+
+#: Every effect by id. Drive laws apply in this order: the command is faded, sags, is clipped, then loses its dead-band.
+EFFECTS: Mapping[str, Effect] = {
+    page.EFFECT.id: page.EFFECT
+    for page in (
+        inertia,
+        viscous_friction,
+        thermal_fade,
+        supply_sag,
+        drive_saturation,
+        dead_band,
+        backlash,
+        payload,
+        coulomb_friction,
+        stribeck_friction,
+        friction_asymmetry,
+        position_dependent_friction,
+        load_dependent_friction,
+        constant_offset,
+        quadratic_drag,
+        gravity,
+        payload_gravity,
+        spring,
+        torque_ripple,
+        end_stop,
+        joint_elasticity,
+        motor_lag,
+        input_delay,
+        load_change,
+        encoder_eccentricity,
+        periodic_disturbance,
+    )
+}
+
+#: What every model contains from the start.
+BASE: tuple[str, ...] = ("inertia", "viscous_friction", "dead_band", "backlash")
+
+#: What may be found missing.
+CANDIDATES: tuple[str, ...] = tuple(e.id for e in EFFECTS.values() if e.screen is not None)

@@ -1,0 +1,66 @@
+"""What an effect is: one page of physics.
+
+A page says what the effect is, its parameters, where in the machine it acts, its law, what it
+promises, and what it is easily mistaken for. Every other text about the effect (kernel, FMU, report
+equation, Modelica) is generated from the law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from twin.quantities import Parameter
+
+Law = Callable[[Any, Any], Any]
+
+#: Where a law is called by the stepper, what it may read and what it returns.
+SLOTS: Mapping[str, tuple[tuple[str, ...], str]] = {
+    "drive": (("command", "emf", "heat"), "command that acts, in the input's unit; laws apply in turn"),
+    "load": (("position", "velocity", "time", "moment"), "torque on the link; laws add up"),
+    "drag": (("position", "velocity"), "smooth resistance, against the speed; laws add up"),
+    "grip": (("position", "velocity", "direction", "transmitted"), "size of the dry friction; laws add up"),
+    "mass": (("time", "payload"), "inertia added to the link; laws add up"),
+    "sensor": (("position",), "what the sensor adds to the true position; laws add up"),
+    "structure": ((), "acts through the stepper itself"),
+}
+
+
+@dataclass(frozen=True)
+class Screen:
+    """How to look for an effect before it is fitted.
+
+    `gain` is the parameter whose neutral value switches the effect off. Where the law also has a phase
+    or rest position, `pair` names it with the two values at which the pair of gains spans the law, and
+    `combine` turns the two gains into (gain, paired value). `grid` holds trial values of other parameters.
+    """
+
+    gain: str
+    pair: tuple[str, float, float] | None = None
+    combine: Callable[[float, float], tuple[float, float]] | None = None
+    grid: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One page. `promises` are among dissipative, odd, memoryless, state: the contract test holds it to them."""
+
+    id: str
+    title: str
+    station: str  # drive, motor, transmission, friction, load, inertia, sensor, disturbance
+    slot: str
+    parameters: tuple[Parameter, ...]
+    law: Law | None
+    depends_on: tuple[str, ...]
+    promises: frozenset[str]
+    sentence: str  # what was left out, with {parameter} values to be filled in
+    reference: str
+    confused_with: Mapping[str, str]  # other effect's id -> the experiment that tells them apart
+    equation: str | None = None  # LaTeX, only where there is no law to generate it from
+    screen: Screen | None = None
+    includes: tuple[str, ...] = ()  # effects that this one cannot be without
+    substeps: int = 1  # internal steps per 2 ms that the effect needs
+
+    def __repr__(self) -> str:
+        return f"{self.id}: {self.title} ({', '.join(p.name for p in self.parameters)}), acts at the {self.station}"

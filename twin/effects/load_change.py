@@ -1,0 +1,33 @@
+"""Inertia that changes at a moment of the recording: something was picked up or dropped."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from twin.effects.effect import Effect, Screen
+from twin.quantities import Parameter
+from twin.words import maximum, minimum
+
+
+def law(q: Any, p: Any) -> Any:
+    # A ramp over 2 ms, so that the moment itself can be estimated.
+    return p.load_added * minimum(maximum((q.time - p.load_time) / 0.002 + 0.5, 0.0), 1.0)
+
+
+EFFECT = Effect(
+    id="load_change",
+    title="load that changes at a moment",
+    station="inertia",
+    slot="mass",
+    parameters=(
+        Parameter("load_added", "1", "inertia added, in units of the inertia before", 0.0, -0.7, 20.0),
+        Parameter("load_time", "s", "moment of the change", None),
+    ),
+    law=law,
+    depends_on=("time", "acceleration"),
+    promises=frozenset({"memoryless"}),
+    sentence="At {load_time} the inertia changes by {load_added} of what it was.",
+    reference="Basseville, Nikiforov, Detection of Abrupt Changes, 1993",
+    confused_with={"thermal_fade": "repeat the first block at the end: heat comes slowly, a load at once"},
+    screen=Screen("load_added"),
+)

@@ -1,0 +1,37 @@
+"""The gain falls as the motor heats."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from twin.effects.effect import Effect, Screen
+from twin.quantities import Parameter
+
+
+def law(q: Any, p: Any) -> Any:
+    return q.command * (1.0 - p.fade * q.heat)
+
+
+EFFECT = Effect(
+    id="thermal_fade",
+    title="gain that fades as the motor heats",
+    station="drive",
+    slot="drive",
+    parameters=(
+        Parameter("fade", "1", "loss of gain when warmed through at the reference command", 0.0, -0.5, 0.9),
+        Parameter("fade_time", "s", "thermal time constant", None, 1.0, 3600.0, 30.0),
+        Parameter(
+            "fade_reference", "{u}", "command whose heating counts as one", None, start=50.0, estimated=False
+        ),
+    ),
+    law=law,
+    depends_on=("time", "input"),
+    promises=frozenset({"odd", "state"}),
+    sentence="The gain falls by {fade} as the motor heats, with a time constant of {fade_time}.",
+    reference="Hughes, Drury, Electric Motors and Drives, 2013",
+    confused_with={
+        "load_change": "repeat the first block at the end: heat comes slowly, a load at once",
+        "quadratic_drag": "repeat the first block at the end",
+    },
+    screen=Screen("fade", grid={"fade_time": (5.0, 15.0, 40.0, 120.0)}),
+)

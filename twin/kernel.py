@@ -1,0 +1,191 @@
+"""The compiled kernel: one for all structures, written from the laws, compiled once and kept.
+
+The text is written to the user's cache folder under the hash of its content and compiled there by numba, which
+keeps the machine code beside it. A changed law is a changed text is another file.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.util
+import inspect
+import os
+import sys
+import tempfile
+import textwrap
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.axis import EVERYTHING, KNOWN, STATES, Structure
+from twin.writers import drivers, tangent
+from twin.writers.python import module, numbering, resolve
+
+FloatArray = NDArray[np.float64]
+_LOOPS = (drivers.predict, drivers.predict_t, drivers.riccati)
+
+#: Index of every parameter in the kernel's vector; the switches of the effects follow them.
+INDEX: dict[str, int] = {p.name: i for i, p in enumerate(EVERYTHING.parameters)}
+
+
+def cache_folder() -> Path:
+    """Where compiled kernels are kept: $TWIN_CACHE, or the platform's cache folder."""
+    if chosen := os.environ.get("TWIN_CACHE"):
+        return Path(chosen)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", tempfile.gettempdir())) / "twin"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "twin"
+
+
+class _Rows(ast.NodeTransformer):
+    """row.function_name and index.name -> numbers."""
+
+    def __init__(self, rows: dict[str, int]) -> None:
+        self.rows = {key.replace(".", "_"): i for key, i in rows.items()}
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
+        if isinstance(node.value, ast.Name) and node.value.id == "row":
+            return ast.Constant(self.rows[node.attr])
+        if isinstance(node.value, ast.Name) and node.value.id == "index":
+            return ast.Constant(INDEX[node.attr])
+        return node
+
+
+def kernel_text() -> str:
+    """The whole source that is compiled."""
+    numbers = numbering(EVERYTHING, True)
+    derivative = tangent.write()
+    loops = "\n".join(textwrap.dedent(inspect.getsource(f)) for f in _LOOPS)
+    tree = _Rows(derivative.rows).visit(ast.parse(loops))
+    text = "\n\n\n".join(
+        [
+            "import numpy as np\nfrom math import cos, exp, sin, sqrt, tanh\nfrom numba import njit",
+            ast.unparse(module(EVERYTHING, True)),
+            derivative.text,
+            ast.unparse(resolve(ast.unparse(tree), numbers)),
+        ]
+    )
+    decorated = text.replace("\ndef ", "\n@njit(cache=True, error_model='numpy')\ndef ")
+    return f"{decorated}\n\n\nROWS = {len(derivative.rows)}\n"
+
+
+@cache
+def compiled() -> ModuleType:
+    """The kernel's module; compiles on the first call on a machine (some twenty seconds)."""
+    text = kernel_text()
+    name = "twin_kernel_" + hashlib.sha256(text.encode()).hexdigest()[:16]
+    folder = cache_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = tempfile.NamedTemporaryFile(dir=folder, suffix=".py", delete=False)  # noqa: SIM115
+    except OSError:
+        folder = Path(tempfile.mkdtemp(prefix="twin-"))
+        probe = tempfile.NamedTemporaryFile(dir=folder, suffix=".py", delete=False)  # noqa: SIM115
+    path = folder / f"{name}.py"
+    with probe:
+        probe.write(text.encode())
+    if path.exists():
+        Path(probe.name).unlink()
+    else:
+        Path(probe.name).replace(path)
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    loaded = importlib.util.module_from_spec(spec)
+    sys.modules[name] = loaded
+    spec.loader.exec_module(loaded)
+    return loaded
+
+
+def vector(structure: Structure, values: dict[str, float]) -> FloatArray:
+    """Parameters and switches in the kernel's order; parameters of absent effects at their start value."""
+    p = np.array([q.start for q in EVERYTHING.parameters] + [float(i in structure) for i in EVERYTHING.ids])
+    for name, value in values.items():
+        p[INDEX[name]] = value
+    return p
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """What the kernel needs of one recording, beside the parameters."""
+
+    time: FloatArray  # (N,) s
+    command: FloatArray  # (N,) input's unit; the reference where the loop is closed
+    measured: FloatArray  # (N,) output's unit, NaN where left out
+    speed: bool  # the output is a speed
+    known: FloatArray  # (len(KNOWN),)
+    law: FloatArray  # (4,) gains on reference, output, velocity and the limit; all zero where open
+    longest: float  # s, longest internal step
+
+    @property
+    def closed(self) -> bool:
+        return bool(self.law.any())
+
+
+def start_state(position: float, velocity: float, gap: float) -> FloatArray:
+    """States at the start: motor and link at one speed, the motor `gap` ahead of the link."""
+    x = np.zeros(len(STATES))
+    x[0], x[1], x[2], x[3] = position, velocity, gap, velocity
+    return x
+
+
+def free_gains(count: int) -> FloatArray:
+    return np.zeros((count, 2))
+
+
+def predict(
+    drive: Drive, p: FloatArray, x: FloatArray, gains: FloatArray, keep_states: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """What the sensor should read (N,), and the states (N, 7) or (0, 7). `x` (7,) is left as it was."""
+    predicted = np.empty(len(drive.time))
+    states = np.empty((len(drive.time) if keep_states else 0, len(STATES)))
+    compiled().predict(
+        drive.time, drive.command.copy() if drive.closed else drive.command, drive.measured, gains, drive.speed,
+        drive.closed, drive.law, x.copy(), p, drive.known, drive.longest, predicted, states,
+    )  # fmt: skip
+    return predicted, states
+
+
+def predict_with_slopes(
+    drive: Drive, p: FloatArray, x: FloatArray, slope: FloatArray, names: tuple[str, ...], gains: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """As `predict`, with the derivative (N, n) with respect to the named parameters.
+
+    `slope` (7, n) is the derivative of the initial state.
+    """
+    n = len(names)
+    count = len(drive.time)
+    col = np.full(len(INDEX), -1, dtype=np.int64)
+    for j, name in enumerate(names):
+        if name in INDEX:
+            col[INDEX[name]] = j
+    predicted, slopes = np.empty(count), np.empty((count, n))
+    commands = np.zeros((count if drive.closed else 1, n))
+    module_ = compiled()
+    module_.predict_t(
+        drive.time, drive.command.copy() if drive.closed else drive.command, drive.measured, gains, drive.speed,
+        drive.closed, drive.law, x.copy(), slope.copy(), p, col, drive.known, n, drive.longest, predicted, slopes,
+        np.zeros((module_.ROWS, n)), commands,
+    )  # fmt: skip
+    return predicted, slopes
+
+
+def kalman(
+    drive: Drive, damping: float, density: float, start: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Gains (N, 2) and innovation variances (N,), in units of the reading's variance."""
+    gains, spread = np.empty((len(drive.time), 2)), np.empty(len(drive.time))
+    compiled().riccati(
+        drive.time, drive.measured, damping, density, drive.speed, np.array(start), gains, spread
+    )
+    return gains, spread
+
+
+def known_vector(known: dict[str, float] | Any) -> FloatArray:
+    """The recording's known quantities in the kernel's order; absent ones are zero."""
+    return np.array([float(known.get(name, 0.0)) for name in KNOWN])

@@ -1,0 +1,1 @@
+"""Writers: one physical text in, one tongue out each."""

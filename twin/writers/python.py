@@ -1,0 +1,162 @@
+"""The axis as plain Python text: what numba compiles and what the FMU embeds.
+
+Two forms of the same text. For one structure: only its effects, `has.x` folded away, parameters numbered in
+the structure's order. Switched: every effect behind a switch, so that one compiled kernel serves all
+structures; the switches follow the parameters in `p`.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import sympy
+from sympy.printing.pycode import PythonCodePrinter
+
+from twin.axis import EVERYTHING, KNOWN, STATES, STEPPER, Structure
+from twin.effects.effect import SLOTS
+from twin.equations import trace
+
+
+class _Printer(PythonCodePrinter):  # type: ignore[misc]
+    """Expressions in the stepper's small part of Python."""
+
+    def __init__(self) -> None:
+        super().__init__({"fully_qualified_modules": False})
+
+    def _print_Heaviside(self, expr: sympy.Expr) -> str:
+        return f"(1.0 if {self._print(expr.args[0])} > 0.0 else 0.0)"
+
+    def _print_sign(self, expr: sympy.Expr) -> str:
+        return f"(1.0 if {self._print(expr.args[0])} >= 0.0 else -1.0)"
+
+    def _print_Integer(self, expr: sympy.Expr) -> str:
+        return f"{int(expr)}.0"
+
+    def _print_Rational(self, expr: sympy.Expr) -> str:
+        return f"({int(expr.p)}.0/{int(expr.q)}.0)"
+
+    def _print_Pow(self, expr: sympy.Expr, **options: Any) -> str:
+        base, exponent = expr.args
+        if exponent == 2:
+            inner = self.parenthesize(base, 70)
+            return f"({inner}*{inner})"
+        if exponent == -1:
+            return f"(1.0/{self.parenthesize(base, 70)})"
+        return str(super()._print_Pow(expr, **options))
+
+
+def code(expression: sympy.Expr) -> str:
+    """An expression as Python text."""
+    return str(_Printer().doprint(expression))
+
+
+@dataclass(frozen=True)
+class Numbering:
+    """Where each name lives: index of parameters, states, known quantities, and what `has.x` becomes."""
+
+    parameters: Mapping[str, int]
+    states: Mapping[str, int]
+    known: Mapping[str, int]
+    has: Callable[[str], ast.expr]
+
+
+def _index(order: Mapping[str, Any] | tuple[str, ...]) -> dict[str, int]:
+    return {name: i for i, name in enumerate(order)}
+
+
+def numbering(structure: Structure, switched: bool) -> Numbering:
+    names = tuple(p.name for p in structure.parameters)
+
+    def switch(effect: str) -> ast.expr:
+        if not switched:
+            return ast.Constant(effect in structure)
+        return ast.parse(f"p[{len(names) + structure.ids.index(effect)}] != 0.0", mode="eval").body
+
+    return Numbering(_index(names), _index(tuple(STATES)), _index(tuple(KNOWN)), switch)
+
+
+class _Resolve(ast.NodeTransformer):
+    """Replace p.x, x.x, k.x and has.x, and fold the branches that a fixed structure decides."""
+
+    def __init__(self, numbers: Numbering) -> None:
+        self.numbers = numbers
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
+        holder = node.value.id if isinstance(node.value, ast.Name) else ""
+        if holder == "has":
+            return self.numbers.has(node.attr)
+        tables = {"p": self.numbers.parameters, "x": self.numbers.states, "k": self.numbers.known}
+        if holder not in tables:
+            return node
+        table = tables[holder]
+        # A parameter of an absent effect stands only in branches that are folded away.
+        return ast.Subscript(node.value, ast.Constant(table.get(node.attr, -1)), node.ctx)
+
+    def visit_If(self, node: ast.If) -> Any:
+        self.generic_visit(node)
+        if isinstance(node.test, ast.Constant):
+            return (node.body if node.test.value else node.orelse) or ast.Pass()
+        return node
+
+
+def resolve(text: str, numbers: Numbering) -> ast.Module:
+    """Parse text and put numbers in place of names; doc strings go."""
+    tree = ast.parse(textwrap.dedent(text))
+    for function in tree.body:
+        if isinstance(function, ast.FunctionDef) and isinstance(function.body[0], ast.Expr):
+            function.body = function.body[1:]
+    return ast.fix_missing_locations(_Resolve(numbers).visit(tree))
+
+
+def laws_by_slot(structure: Structure) -> dict[str, list[str]]:
+    """Ids of the effects that have a law, by slot, in order."""
+    return {slot: [e.id for e in structure.effects if e.slot == slot] for slot in SLOTS if slot != "structure"}
+
+
+def law_text(structure: Structure) -> str:
+    """The functions drive, load, drag, grip, mass and sensor, each effect behind `has.x`."""
+    lines: list[str] = []
+    for slot, ids in laws_by_slot(structure).items():
+        arguments = SLOTS[slot][0]
+        lines.append(f"def {slot}({', '.join(arguments)}, p):")
+        if slot == "drive":
+            lines.append("    acts = command")
+        else:
+            lines.append("    acts = 0.0")
+        for effect in ids:
+            body = code(trace(effect).expression)
+            lines.append(f"    if has.{effect}:")
+            if slot == "drive":
+                # Laws of the drive apply in turn: each reads what the one before it passed on.
+                lines.append(f"        command = {body}")
+                lines.append("        acts = command")
+            else:
+                lines.append(f"        acts = acts + {body}")
+        lines.append("    return acts")
+    return "\n".join(lines)
+
+
+def stepper_text(structure: Structure) -> str:
+    """The stepper's functions that the structure needs."""
+    needed = [f for f in STEPPER if f.__name__ != "tension" or "joint_elasticity" in structure]
+    return "\n".join(textwrap.dedent(inspect.getsource(f)) for f in needed)
+
+
+def module(structure: Structure, switched: bool = False) -> ast.Module:
+    """Laws and stepper of a structure as one syntax tree; functions take (…, p) with p a flat sequence."""
+    return resolve(law_text(structure) + "\n" + stepper_text(structure), numbering(structure, switched))
+
+
+def write(structure: Structure) -> str:
+    """Python text for one structure, standard library only: `step(x, p, k, command, h)` and `sensor`."""
+    return "from math import cos, exp, sin, sqrt, tanh\n\n\n" + ast.unparse(module(structure)) + "\n"
+
+
+def write_switched() -> str:
+    """Python text with every effect behind a switch."""
+    return "from math import cos, exp, sin, sqrt, tanh\n\n\n" + ast.unparse(module(EVERYTHING, True)) + "\n"
