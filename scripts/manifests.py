@@ -1,4 +1,4 @@
-"""Write manifests of the four real data sets: which recording trains, which is held out, and what is known of each.
+"""Write manifests of the four real data sets: what trains, what is held out, what is known of each.
 
     python scripts/manifests.py DATA_DIR OUT_DIR
 

@@ -136,7 +136,7 @@ def find_outliers(values: FloatArray, resolution: float) -> BoolArray:
     """Single readings (or two in a row) that jump away and come back.
 
     A reading is an outlier when it lies off the median of its neighbourhood by more than 10 counts, by more
-    than 5 times any step around it, and by at least half the fastest step of the whole recording.
+    than 5 times any step around it, and by at least a quarter of the fastest step of the whole recording.
     """
     found = np.zeros(values.size, dtype=bool)
     good = np.flatnonzero(np.isfinite(values))
@@ -146,7 +146,7 @@ def find_outliers(values: FloatArray, resolution: float) -> BoolArray:
     smooth = median_filter(y, size=5, mode="nearest")
     off = np.abs(y - smooth)
     least = max(10 * resolution, 1e-6 * float(np.ptp(smooth)))
-    suspects = np.flatnonzero((off > least) & (off > 0.5 * np.max(np.abs(np.diff(smooth)))))
+    suspects = np.flatnonzero((off > least) & (off > 0.25 * np.max(np.abs(np.diff(smooth)))))
     step = np.abs(np.diff(y))
     for k in suspects:
         # the fifth largest step: two single outliers side by side make four large ones
@@ -158,12 +158,10 @@ def find_outliers(values: FloatArray, resolution: float) -> BoolArray:
 
 
 def find_held(time: FloatArray, values: FloatArray, resolution: float) -> tuple[list[Fault], BoolArray]:
-    """Freezes and sensor saturation of a position: it stands exactly still and leaves in a way that rest
-    does not.
+    """Freezes and sensor saturation of a position: it stands exactly still as no axis at rest does.
 
-    An axis that really stood still starts from rest: its first step is not larger than the ones that
-    follow. See `_verdict` for what is asked of each standstill. Returns the faults and the samples to
-    leave out.
+    An axis that really stood still starts from rest: its first step is no larger than the ones that follow.
+    Returns the faults and the samples to leave out.
     """
     out = np.zeros(values.size, dtype=bool)
     faults: list[Fault] = []
@@ -180,48 +178,67 @@ def find_held(time: FloatArray, values: FloatArray, resolution: float) -> tuple[
     exits = np.zeros(step.size, dtype=bool)
     exits[[b for _, b in still]] = True
     fastest = float(np.max(np.abs(step[~exits] / np.diff(t)[~exits]), initial=0.0))
+    saturated = _saturated(t, y, still, fastest, resolution)
     for a, b in still:
-        kind = _verdict(t, y, a, b, fastest, resolution)
-        if kind is None:
+        if _is_freeze(t, y, a, b, fastest, resolution):
+            says = f"The reading froze at {t[a]:.3f} s for {t[b] - t[a]:.3f} s while the axis moved on."
+            faults.append(Fault("freeze", float(t[a]), float(t[b]), says))
+        elif (a, b) in saturated:
+            says = f"The sensor sat at its limit from {t[a]:.3f} s for {t[b] - t[a]:.3f} s."
+            faults.append(Fault("saturation", float(t[a]), float(t[b]), says))
+        else:
             continue
-        says = {
-            "freeze": f"The reading froze at {t[a]:.3f} s for {t[b] - t[a]:.3f} s while the axis moved on.",
-            "saturation": f"The sensor sat at its limit from {t[a]:.3f} s for {t[b] - t[a]:.3f} s.",
-        }[kind]
-        faults.append(Fault(kind, t[a], t[b], says))
         out[good[a] + 1 : good[b] + 1] = True
     return faults, out
 
 
-def _verdict(t: FloatArray, y: FloatArray, a: int, b: int, fastest: float, resolution: float) -> str | None:
-    """'freeze', 'saturation' or None for the standstill y[a] = ... = y[b].
+def _is_freeze(t: FloatArray, y: FloatArray, a: int, b: int, fastest: float, resolution: float) -> bool:
+    """Whether the axis went on during the standstill y[a] = ... = y[b].
 
-    Freeze: the jump at its end is faster than the axis ever moves; or the axis was moving when it began
-    and the jump is far larger than any step around. Moving on both sides as if nothing had been between
-    (no braking, no starting) is saturation at the extreme of the range, a freeze anywhere else.
+    True when the jump at its end is faster than the axis ever moves; when the axis was moving as it began
+    and the jump is far larger than any step around; or when, away from the ends of the range, it neither
+    braked before nor started after: a hit in the backlash sets a link going at once, but nothing stops it
+    at once except an end stop.
     """
     jump = abs(y[b + 1] - y[b])
     before = np.abs(np.diff(y[max(0, a - 5) : a + 1]))
     after = np.abs(np.diff(y[b + 1 : b + 7]))
     if jump <= 10 * resolution or before.size < 3 or after.size < 3:
-        return None
-    entry = float(np.min(before[-3:]))
-    around = max(float(np.max(before)), float(np.max(after)))
+        return False
     if jump / (t[b + 1] - t[b]) > 1.5 * fastest and jump > 3 * np.max(after):
-        return "freeze"
-    if before[-1] >= 3 * resolution and before[-1] > 0 and jump > 4 * around:
-        return "freeze"
-    no_braking = entry > 10 * resolution and before[-1] > 0.7 * np.max(before[-3:])
-    no_starting = float(np.min(after[:3])) > 10 * resolution and jump > 0.8 * np.max(after[:3])
-    if no_braking and no_starting:
-        low, high = float(np.min(y)), float(np.max(y))
-        at_limit = y[a] in (low, high)
-        margin = 0.05 * (high - low)
-        if at_limit and np.sign(y[a] - y[a - 1]) == -np.sign(y[b + 1] - y[b]):
-            return "saturation"
-        if low + margin < y[a] < high - margin:
-            return "freeze"
-    return None
+        return True
+    if before[-1] >= 3 * resolution and jump > 4 * max(float(np.max(before)), float(np.max(after))):
+        return True
+    braked = before[-1] < max(10 * resolution, 0.7 * float(np.max(before[-3:])))
+    started = min(jump, float(np.min(after[:3]))) < max(10 * resolution, 0.7 * float(np.max(after[:3])))
+    margin = 0.05 * float(np.ptp(y))
+    return not braked and not started and np.min(y) + margin < y[a] < np.max(y) - margin
+
+
+def _saturated(
+    t: FloatArray, y: FloatArray, still: list[tuple[int, int]], fastest: float, resolution: float
+) -> list[tuple[int, int]]:
+    """Standstills at an end of the range that the axis enters and leaves at speed.
+
+    An end stop with backlash looks much the same, but gives the axis back slowly. So: at least two
+    standstills at that end, and all of them entered and left at over 0.6 of the highest speed, without
+    braking or starting.
+    """
+    found = []
+    for limit in (np.min(y), np.max(y)):
+        here = [(a, b) for a, b in still if y[a] == limit]
+        if len(here) < 2 or here[0][0] < 4 or here[-1][1] > y.size - 5:
+            continue
+        # the steps into and out of the limit are cut short by it: judge the ones beside them
+        pairs = [(a - 1, a - 2) for a, _ in here] + [(b + 2, b + 3) for _, b in here]
+        near = np.array([[k, far] for k, far in pairs])
+        speed = np.abs((y[near] - y[near - 1]) / (t[near] - t[near - 1]))
+        step = np.abs(y[near] - y[near - 1])
+        if np.all(speed[:, 0] > np.maximum(0.6 * fastest, 0.8 * speed[:, 1])) and np.all(
+            step > 10 * resolution
+        ):
+            found += here
+    return found
 
 
 def find_contradicted(

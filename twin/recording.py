@@ -195,7 +195,10 @@ def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
         known=known,
         optional=optional,
         loop=None if rig.loop is None else _loop(rig.loop, rig, table, entry),
-        faults=tuple(sorted(faults, key=lambda f: (f.start, f.kind))),
+        faults=tuple(
+            replace(f, start=float(f.start), end=float(f.end))
+            for f in sorted(faults, key=lambda f: (f.start, f.kind))
+        ),
     )
     if entry.start is not None or entry.end is not None:
         recording = recording.part(entry.start or 0.0, math.inf if entry.end is None else entry.end)
