@@ -69,19 +69,19 @@ def draw_rig(rng: np.random.Generator) -> Rig:
     """One rig from the population of the estimator study."""
 
     def log_uniform(low: float, high: float) -> float:
-        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+        return low * (high / low) ** float(rng.uniform())
 
     viscous = 1.0 / log_uniform(0.15, 2.0)
-    forward, backward = rng.uniform(3.0, 9.0, 2)
+    forward, backward = rng.uniform(3.0, 9.0, 2).tolist()
     gain = viscous * log_uniform(1.0, 15.0) / (60.0 - 0.5 * (forward + backward))
     noise = log_uniform(3e-4, 5e-3) * gain * 45.0
-    at_motor = rng.uniform(0.1, 0.9)
+    at_motor = float(rng.uniform(0.1, 0.9))
     return Rig(
         input_gain=gain,
         viscous_friction=viscous,
-        dead_band_forward=float(forward),
-        dead_band_backward=float(backward),
-        backlash=float(np.radians(log_uniform(0.5, 5.0))),
+        dead_band_forward=forward,
+        dead_band_backward=backward,
+        backlash=log_uniform(0.5, 5.0) * TURN / 360.0,
         motor_share=float(rng.uniform(0.1, 0.4)),
         motor_friction_share=float(rng.uniform(0.3, 1.0)),
         teeth_frequency=log_uniform(60.0, 200.0),
@@ -370,6 +370,7 @@ def draw_effect(
     """
     torque = size * rig.half_torque
     speed = rig.half_speed
+    reach = min(0.5 * speed, pi)  # what the axis is sure to come by again and again
 
     def phase() -> float:
         return float(rng.uniform(-pi, pi))
@@ -419,7 +420,11 @@ def draw_effect(
             "phase": phase(),
         },
         "other_brake_coast": lambda: {"damping": 5.0 * size * rig.viscous_friction},
-        "other_latch": lambda: {"torque": torque, "width": between(0.06, 0.2), "angle": phase()},
+        "other_latch": lambda: {
+            "torque": torque,
+            "width": between(0.06, 0.2),
+            "angle": reach * between(-1.0, 1.0),
+        },
         "other_speed_hump": lambda: {
             "torque": torque,
             "speed": speed * between(0.3, 0.7),
@@ -427,7 +432,7 @@ def draw_effect(
         },
         "other_angle_gain": lambda: {"share": size, "phase": phase()},
         "other_cubic_spring": lambda: {
-            "stiffness": 2.0 * torque / speed**3,
+            "stiffness": torque / max(speed, 1.0) ** 3,
             "flat": speed * between(0.1, 0.4),
         },
         "other_bristles": lambda: {"magnitude": torque, "give": between(0.02, 0.08)},
@@ -591,6 +596,25 @@ def simulate(
     return Simulated(time, duty, counts, link, link_speed, motor, motor_speed, torque, per_turn)
 
 
+def visibility(
+    rig: Rig, effects: Sequence[Concealed], time: Array, duty: Array, seed: int, window: float = 0.5
+) -> float:
+    """How much more the effects change than noise does: RMS change of the travel per window, in counts,
+    over the same for another seed of the noise. Runs are not restarted at each window, so above ten or so it
+    only says "plain to see".
+    """
+    plain = simulate(rig, [], time, duty, seed).counts
+    other = simulate(rig, [], time, duty, seed + 1).counts
+    changed = simulate(rig, effects, time, duty, seed).counts
+    stride = max(int(np.searchsorted(time - time[0], window)), 1)
+
+    def travel_change(counts: NDArray[np.int64]) -> float:
+        change = (counts - plain).astype(float)
+        return float(np.sqrt(np.mean((change[stride:] - change[:-stride]) ** 2)))
+
+    return travel_change(changed) / max(travel_change(other), 0.5)
+
+
 def _run(
     rig: Rig, machine: Machine, parameters: dict[str, Parameters], at: Array, command: Array, shaking: Array
 ) -> Array:
@@ -640,6 +664,9 @@ def _run(
             dry[1] = (1.0 - motor_part) * sum([law(rates[1], s) for law in friction])
         if change and now >= change["time"]:
             model.dof_armature[1] += machine.inertia[1] * (change["factor"] - 1.0)
+            mujoco.mj_setConst(
+                model, mujoco.MjData(model)
+            )  # else the engine goes on with the mass matrix it has
             change = None
         applied[0], applied[1] = motor, link
         step(model, data)
