@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 TURN = 2.0 * pi
 
-# Halving it moves a base rig within one second by 0.09 counts (median of 60 rigs; 1.0 for one in ten, where the
-# teeth bounce), the process noise by 2.9 (21): 0.04 (0.30) of what noise does, at worst 0.92.
+# Halving it moves a base rig within one second by 0.09 counts (median of 60 rigs; 1.0 for one in ten, where
+# teeth bounce), process noise by 2.9 (21): per rig, 0.04 (0.30) of what noise does, at worst 0.92.
 STEP = 2e-4
 SETTLE = 1.0  # at zero duty before the recording: it starts neither exactly at rest nor centred in the gap
 GEAR_SHARE = 0.1  # of the link's inertia that sits ahead of the coupling when the coupling is elastic
