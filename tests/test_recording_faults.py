@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from twin.faults import find_held
 from twin.recording import Recording, load
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
@@ -159,6 +160,40 @@ def test_planted_freezes_are_found(
     tried = len(starts[:: max(1, len(starts) // 12)])
     assert tried >= 8
     assert found >= 0.9 * tried
+
+
+def stretches(*parts: tuple[float, int]) -> np.ndarray:
+    """Counts of an axis that moves at given counts per sample for given numbers of samples."""
+    return np.concatenate(([0.0], np.cumsum(np.concatenate([np.full(n, float(v)) for v, n in parts]))))
+
+
+FAST = (
+    (400, 30),
+    (-400, 30),
+)  # how fast this axis can be, so that 300 counts in a sample are nothing impossible
+SLOW_STOP = ((60, 50), (45, 1), (30, 1), (15, 1), (4, 1))
+
+
+@pytest.mark.parametrize(
+    ("what", "parts", "found"),
+    [
+        ("moved on slowly", (*FAST, (10, 200), (0, 20), (200, 1), (10, 200), (0, 50)), 1),
+        ("in mid-range, no braking, no starting", (*FAST, (30, 100), (0, 50), (30, 100), (0, 50)), 1),
+        ("stopped by friction, hit by the gear", (*FAST, *SLOW_STOP, (0, 50), (60, 50), (0, 50)), 0),
+        ("hit by the gear after an end stop", ((60, 100), (0, 50), (-60, 100), (0, 50)), 0),
+        (
+            "steps of a positioner, slowly sampled",
+            tuple((v, 1) for n in (70, 90, 80) for v in [n, *[0] * 20]),
+            0,
+        ),
+        ("accelerates from rest", ((0, 40), *((v, 1) for v in range(5, 400, 30)), (0, 40)), 0),
+    ],
+)
+def test_what_is_and_is_not_a_freeze(what: str, parts: tuple[tuple[float, int], ...], found: int) -> None:
+    counts = stretches(*parts)
+    faults, out = find_held(np.arange(counts.size) * 0.002, counts * COUNT, COUNT)
+    assert [f.kind for f in faults] == ["freeze"] * found
+    assert out.any() == bool(found)
 
 
 def test_a_freeze_shows_in_the_reported_speed(tmp_path: Path) -> None:
