@@ -18,7 +18,7 @@ and separation inside it from the exact parabola, so no event is stepped over (B
 """
 
 # mypy: ignore-errors
-# ruff: noqa: SIM108, SIM300, F821
+# ruff: noqa: F821
 
 from __future__ import annotations
 
@@ -79,13 +79,17 @@ class Structure:
     def named(self) -> tuple[str, ...]:
         """The effects one would name: those beyond the base that no other effect brings with it."""
         brought = {i for e in self.effects for i in e.includes}
-        return tuple(i for i in self.ids if i not in BASE and i not in brought)
+        return tuple(i for i in self.ids if i not in (*BASE, "tooth_compliance") and i not in brought)
 
     def with_(self, *ids: str) -> Structure:
         return Structure.of((*self.ids, *ids))
 
     def without(self, *ids: str) -> Structure:
         return Structure.of(i for i in self.ids if i not in ids)
+
+    @property
+    def elastic(self) -> bool:
+        return "joint_elasticity" in self or "tooth_compliance" in self
 
     def __contains__(self, effect: str) -> bool:
         return effect in self.ids
@@ -112,15 +116,15 @@ def net(torque, forward, reverse, velocity):
     return left
 
 
-def tension(gap, speed, half, p):
-    """Torque in an elastic joint, `gap` and `speed` being motor minus link; it pushes, never pulls."""
+def tension(gap, speed, half, stiffness, damping):
+    """Torque through compliant teeth or an elastic joint; gap and speed are motor minus link. It never pulls."""
     pull = 0.0
     if gap > half:
-        pull = p.joint_stiffness * (gap - half) + p.joint_damping * speed
+        pull = stiffness * (gap - half) + damping * speed
         if pull < 0.0:
             pull = 0.0
     elif gap < -half:
-        pull = p.joint_stiffness * (gap + half) + p.joint_damping * speed
+        pull = stiffness * (gap + half) + damping * speed
         if pull > 0.0:
             pull = 0.0
     return pull
@@ -237,6 +241,17 @@ def step(x, p, k, command, h):
         half = 0.5 * p.backlash_gap
         mass_m = p.motor_share
         share = p.friction_share
+    # Compliant teeth and an elastic joint are the same spring beyond the gap: the softer one is what is seen.
+    stiffness = 0.0
+    damping = 0.0
+    if has.tooth_compliance:
+        rate = 6.283185307179586 * p.tooth_frequency
+        stiffness = rate * rate * mass_m * (1.0 - mass_m)
+        damping = 2.0 * p.tooth_damping * rate * mass_m * (1.0 - mass_m)
+    if has.joint_elasticity:
+        rate = 6.283185307179586 * p.joint_frequency
+        stiffness = rate * rate * mass_m * (1.0 - mass_m)
+        damping = 2.0 * p.joint_damping * rate * mass_m * (1.0 - mass_m)
     added = mass(x.time + 0.5 * h, k.payload, p)
     mass_l = 1.0 - mass_m + added
 
@@ -266,7 +281,7 @@ def step(x, p, k, command, h):
         forward = 0.0
     if reverse < 0.0:
         reverse = 0.0
-    if x.motor_velocity == x.velocity:
+    if stiffness == 0.0 and x.motor_velocity == x.velocity:
         left = net(torque + pull + resist_l, forward, reverse, x.velocity)
         gain_l = left / (mass_m + mass_l)
         gain_m = gain_l
@@ -277,8 +292,8 @@ def step(x, p, k, command, h):
         )
         gain_m = left_m / mass_m
         gain_l = left_l / mass_l
-    if has.joint_elasticity:
-        wound = tension(x.gap, x.motor_velocity - x.velocity, half, p)
+    if stiffness > 0.0:
+        wound = tension(x.gap, x.motor_velocity - x.velocity, half, stiffness, damping)
         gain_m = gain_m - wound / mass_m
         gain_l = gain_l + wound / mass_l
     speed_l = x.velocity + middle * gain_l
@@ -302,8 +317,10 @@ def step(x, p, k, command, h):
     push_m = torque + share * resist_m
     push_l = pull + (1.0 - share) * resist_l
     reach = half
-    if has.joint_elasticity:
-        wound = tension(x.gap + middle * (x.motor_velocity - x.velocity), speed_m - speed_l, half, p)
+    if stiffness > 0.0:
+        wound = tension(
+            x.gap + middle * (x.motor_velocity - x.velocity), speed_m - speed_l, half, stiffness, damping
+        )
         push_m = push_m - wound
         push_l = push_l + wound
         reach = 1e9

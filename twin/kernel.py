@@ -71,7 +71,7 @@ def kernel_text() -> str:
             ast.unparse(resolve(ast.unparse(tree), numbers)),
         ]
     )
-    decorated = text.replace("\ndef ", "\n@njit(cache=True, error_model='numpy')\ndef ")
+    decorated = text.replace("\ndef ", "\n@njit(cache=True, error_model='numpy', nogil=True)\ndef ")
     return f"{decorated}\n\n\nROWS = {len(derivative.rows)}\n"
 
 

@@ -151,7 +151,7 @@ def loads(text: str, where: str = "model") -> Model:
     axis, noise = _table(where, document, "axis"), _table(where, document, "noise")
     ids = _table(where, document, "structure").get("effects")
     if not isinstance(ids, list) or not ids:
-        raise BadInput(f"{where}: [structure] has no list `effects`: add one, such as [\"inertia\"]")
+        raise BadInput(f'{where}: [structure] has no list `effects`: add one, such as ["inertia"]')
     for i in ids:
         if i not in EFFECTS:
             raise BadInput(f"{where}: unknown effect {i!r} in [structure]; known are {', '.join(EFFECTS)}")
@@ -180,12 +180,14 @@ def loads(text: str, where: str = "model") -> Model:
     fitted, covariance = _covariance(where, _table(where, document, "covariance"), values)
     axis_unit, input_unit = axis.get("unit", "rad"), axis.get("input_unit", "%")
     if axis_unit not in ("rad", "m"):
-        raise BadInput(f"{where}: [axis] unit is {axis_unit!r}: use \"rad\" or \"m\"")
+        raise BadInput(f'{where}: [axis] unit is {axis_unit!r}: use "rad" or "m"')
     if input_unit not in INPUT_NAMES:
         raise BadInput(f"{where}: [axis] input_unit is {input_unit!r}: use one of {', '.join(INPUT_NAMES)}")
     sample_time = _finite(f"{where}: [axis] sample_time", axis.get("sample_time", 0.002))
     if not 0.0 < sample_time <= 10.0:
-        raise BadInput(f"{where}: [axis] sample_time is {sample_time:g} s: give a period above 0 and up to 10 s")
+        raise BadInput(
+            f"{where}: [axis] sample_time is {sample_time:g} s: give a period above 0 and up to 10 s"
+        )
     known = {k: _finite(f"{where}: [known] {k}", v) for k, v in _table(where, document, "known").items()}
     return Model(
         structure=structure,
@@ -212,11 +214,15 @@ def _covariance(
     names = table.get("parameters", [])
     rows = table.get("matrix", [])
     if not isinstance(names, list) or any(n not in values for n in names):
-        raise BadInput(f"{where}: [covariance] parameters must be names of the model's parameters: correct the list")
+        raise BadInput(
+            f"{where}: [covariance] parameters must be names of the model's parameters: correct the list"
+        )
     good = isinstance(rows, list) and len(rows) == len(names)
     good = good and all(isinstance(r, list) and len(r) == len(names) for r in rows)
     if not good:
-        raise BadInput(f"{where}: [covariance] matrix must have {len(names)} rows of {len(names)} numbers: correct it")
+        raise BadInput(
+            f"{where}: [covariance] matrix must have {len(names)} rows of {len(names)} numbers: correct it"
+        )
     flat = [_finite(f"{where}: [covariance] matrix", v) for r in rows for v in r]
     return tuple(names), np.array(flat).reshape(len(names), len(names))
 
@@ -226,7 +232,9 @@ def read(path: Path) -> Model:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise BadInput(f"{path}: there is no such model file: check the name, or make one with twin identify") from None
+        raise BadInput(
+            f"{path}: there is no such model file: check the name, or make one with twin identify"
+        ) from None
     except IsADirectoryError:
         raise BadInput(f"{path} is a folder, not a model file: name the MODEL.toml in it") from None
     except UnicodeDecodeError:

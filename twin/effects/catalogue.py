@@ -29,6 +29,7 @@ from twin.effects import (
     stribeck_friction,
     supply_sag,
     thermal_fade,
+    tooth_compliance,
     torque_ripple,
     viscous_friction,
 )
@@ -45,6 +46,7 @@ EFFECTS: Mapping[str, Effect] = {
         drive_saturation,
         dead_band,
         backlash,
+        tooth_compliance,
         payload,
         coulomb_friction,
         stribeck_friction,

@@ -11,22 +11,28 @@ EFFECT = Effect(
     station="transmission",
     slot="structure",
     parameters=(
-        Parameter("joint_stiffness", "1/s^2", "torque over inertia per unit of twist", None, 1.0, 1e6, 2e3),
         Parameter(
-            "joint_damping", "1/s", "torque over inertia per unit of twist speed", None, 0.0, 500.0, 2.0
+            "joint_frequency",
+            "Hz",
+            "frequency at which motor and link ring against each other",
+            None,
+            0.5,
+            60.0,
+            10.0,
         ),
+        Parameter("joint_damping", "1", "damping ratio of that ringing", None, 0.0, 2.0, 0.1),
     ),
     law=None,
     depends_on=("acceleration", "input"),
     promises=frozenset({"state"}),
-    sentence="Between motor and link something elastic ({joint_stiffness}, damping {joint_damping}) lets the link ring.",
+    sentence="Between motor and link something elastic lets the link ring at {joint_frequency} (damping ratio {joint_damping}).",
     reference="Spong, Modeling and control of elastic joint robots, J. Dyn. Syst. 109, 1987",
     confused_with={
         "motor_lag": "steps: look for ringing after the edge",
         "input_delay": "steps: look for ringing after the edge",
     },
     equation=r"\lambda = k\,\mathrm{dz}_{g}(\theta_m - \theta) + d\,(\dot\theta_m - \dot\theta)",
-    screen=Screen("joint_stiffness"),
+    screen=Screen("joint_frequency", grid={"joint_frequency": (4.0, 10.0, 25.0)}),
     includes=("backlash",),
     substeps=4,
 )

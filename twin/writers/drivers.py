@@ -63,7 +63,24 @@ def predict(time, command, measured, gains, speed, closed, law, x, p, k, longest
 
 
 def predict_t(
-    time, command, measured, gains, speed, closed, law, x, xd, p, col, k, n, longest, predicted, slopes, w, commands
+    time,
+    command,
+    measured,
+    gains,
+    speed,
+    closed,
+    law,
+    x,
+    xd,
+    p,
+    col,
+    k,
+    n,
+    longest,
+    predicted,
+    slopes,
+    w,
+    commands,
 ):
     """As `predict`, with `slopes` (N, n): the derivative of what the sensor should read."""
     count = len(time)

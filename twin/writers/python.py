@@ -115,7 +115,9 @@ def resolve(text: str, numbers: Numbering) -> ast.Module:
 
 def laws_by_slot(structure: Structure) -> dict[str, list[str]]:
     """Ids of the effects that have a law, by slot, in order."""
-    return {slot: [e.id for e in structure.effects if e.slot == slot] for slot in SLOTS if slot != "structure"}
+    return {
+        slot: [e.id for e in structure.effects if e.slot == slot] for slot in SLOTS if slot != "structure"
+    }
 
 
 def law_text(structure: Structure) -> str:
@@ -141,15 +143,13 @@ def law_text(structure: Structure) -> str:
     return "\n".join(lines)
 
 
-def stepper_text(structure: Structure) -> str:
-    """The stepper's functions that the structure needs."""
-    needed = [f for f in STEPPER if f.__name__ != "tension" or "joint_elasticity" in structure]
-    return "\n".join(textwrap.dedent(inspect.getsource(f)) for f in needed)
+def stepper_text() -> str:
+    return "\n".join(textwrap.dedent(inspect.getsource(f)) for f in STEPPER)
 
 
 def module(structure: Structure, switched: bool = False) -> ast.Module:
     """Laws and stepper of a structure as one syntax tree; functions take (…, p) with p a flat sequence."""
-    return resolve(law_text(structure) + "\n" + stepper_text(structure), numbering(structure, switched))
+    return resolve(law_text(structure) + "\n" + stepper_text(), numbering(structure, switched))
 
 
 def write(structure: Structure) -> str:

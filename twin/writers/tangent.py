@@ -144,7 +144,11 @@ class _Function:
                     if name.startswith("x[")
                     else f"w[{self.rows.of(self.name, name)}, {{j}}]"
                 )
-                if isinstance(value, ast.Call) and isinstance(value.func, ast.Name) and value.func.id in self.known:
+                if (
+                    isinstance(value, ast.Call)
+                    and isinstance(value.func, ast.Name)
+                    and value.func.id in self.known
+                ):
                     text = self._call(value, indent)
                     self._emit(indent, f"{name} = {text}")
                     result = self.rows.of(value.func.id, "return")
@@ -203,16 +207,16 @@ def _law(slot: str, ids: list[str], rows: _Rows) -> str:
         law = trace(effect)
         by_argument = [sympy.diff(law.expression, argument(a)) for a in live]
         by_parameter = [sympy.diff(law.expression, s) for s in law.parameters]
-        shared, results = sympy.cse([law.expression, *by_argument, *by_parameter], sympy.numbered_symbols("s"))
+        shared, results = sympy.cse(
+            [law.expression, *by_argument, *by_parameter], sympy.numbered_symbols("s")
+        )
         value, *partials = results
         lines.append(f"    if has.{effect}:")
         lines += [f"        {name} = {code(expression)}" for name, expression in shared]
         if chain:
             factors = [(a, code(partial)) for a, partial in zip(live, partials, strict=False) if partial != 0]
             lines += [f"        d_{a} = {text}" for a, text in factors]
-            terms = [
-                f"d_{a} * w[{out if a == 'command' else rows.of(slot, a)}, j]" for a, _ in factors
-            ]
+            terms = [f"d_{a} * w[{out if a == 'command' else rows.of(slot, a)}, j]" for a, _ in factors]
             lines += ["        for j in range(n):", f"            w[{out}, j] = {' + '.join(terms) or '0.0'}"]
         else:
             lines += [
@@ -273,4 +277,3 @@ def write() -> Tangent:
         law_texts.append(ast.unparse(resolve(ast.unparse(tree), numbers)))
     texts = [_Function(f, rows, known, set(laws)).write() for f in functions]
     return Tangent("\n\n\n".join(law_texts + texts), dict(rows.rows))
-

@@ -1,0 +1,353 @@
+"""The likelihood of recordings under a model, and its maximum.
+
+The model runs in innovation form: a Kalman filter whose only two numbers are the variance of a reading (known
+from the encoder's count) and the density of a white torque noise (estimated). A free run would drift away with
+every unmodelled torque and then weigh it twice over; short windows would throw away what connects them; a free
+autoregressive noise model would absorb the very misfit that is looked for. With torque noise as the only freedom
+the predictor forgets at the rate that the recording itself asks for.
+
+The maximum is found by Gauss-Newton steps on exact derivatives, with damping, bounds and a robust loss.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from twin import kernel
+from twin.axis import STATES, Structure
+from twin.kernel import INDEX, Drive
+from twin.recording import Recording
+
+FloatArray = NDArray[np.float64]
+
+#: Normalised innovations beyond this count linearly, not squared (Huber).
+ROBUST_LIMIT = 4.0
+_BOUNDS = {p.name: (p.lower, p.upper) for p in kernel.EVERYTHING.parameters}
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A recording made ready for the kernel."""
+
+    recording: Recording
+    drive: Drive
+    reading_variance: float  # of one reading, output unit squared
+    contact: float  # where in the gap the motor starts: -1, 0 or 1
+    start: tuple[float, float]  # position and velocity
+
+    @property
+    def count(self) -> int:
+        """Readings that take part."""
+        return int(np.isfinite(self.drive.measured).sum())
+
+
+def _reading_variance(recording: Recording) -> float:
+    """Variance of a reading: a twelfth of a count squared, or what third differences say where nothing is counted."""
+    y = recording.output[np.isfinite(recording.output)]
+    third = np.diff(y, 3)
+    scatter = float(np.median(np.abs(third)) / 0.6745) ** 2 / 20.0 if len(third) else 0.0
+    counted = recording.resolution**2 / 12.0
+    if counted > 0.0:
+        return max(counted, scatter)
+    return max(scatter, (1e-9 * float(np.ptp(y))) ** 2, 1e-30)
+
+
+def known_quantities(recording: Recording) -> dict[str, float]:
+    """Inertia and first moment of the payload about the axis, from what the user knows of it."""
+    known = recording.known
+    mass, arm = known.get("payload_mass", 0.0), known.get("arm_length", 0.0)
+    rod = known.get("arm_mass", 0.0)
+    return {
+        "payload": known.get("payload_inertia", mass * arm**2 + rod * arm**2 / 3.0),
+        "moment": known.get("payload_moment", mass * arm + rod * arm / 2.0),
+    }
+
+
+def command_of(recording: Recording) -> FloatArray:
+    """The input as it acts: a duty drives in proportion to the supply where that is logged."""
+    supply = recording.optional.get("supply")
+    if supply is None or recording.input_unit != "%":
+        return recording.input
+    nominal = float(np.nanmedian(supply))
+    return recording.input * np.where(np.isfinite(supply), supply, nominal) / nominal
+
+
+def _law(recording: Recording) -> FloatArray:
+    loop = recording.loop
+    if loop is None:
+        return np.zeros(4)
+    limit = math.inf if loop.limit is None else loop.limit
+    if loop.law == "P":
+        return np.array([loop.gain, loop.gain, 0.0, limit], dtype=float)
+    assert loop.kp is not None and loop.kv is not None
+    return np.array([loop.kv * loop.kp, loop.kv * loop.kp, loop.kv, limit])
+
+
+def _limited(time: FloatArray, reference: FloatArray, rate: float | None) -> FloatArray:
+    """The reference as the rig's own rate limiter passes it on."""
+    if rate is None:
+        return reference
+    limited = reference.copy()
+    for i in range(1, len(time)):
+        most = rate * (time[i] - time[i - 1])
+        limited[i] = limited[i - 1] + min(max(reference[i] - limited[i - 1], -most), most)
+    return limited
+
+
+def prepare(recording: Recording, structure: Structure, closed: bool = False, contact: float = 0.0) -> Case:
+    """Make a recording ready; `closed` simulates the rig's own loop from its reference."""
+    law = _law(recording) if closed else np.zeros(4)
+    command = command_of(recording)
+    if closed:
+        rate = recording.loop.reference_rate_limit if recording.loop else None
+        command = _limited(recording.time, recording.optional["reference"], rate)
+    drive = Drive(
+        time=np.ascontiguousarray(recording.time, dtype=float),
+        command=np.ascontiguousarray(command, dtype=float),
+        measured=np.ascontiguousarray(recording.output, dtype=float),
+        speed=recording.is_speed,
+        known=kernel.known_vector(known_quantities(recording)),
+        law=law,
+        longest=0.002 / structure.substeps * (1.0 + 1e-9),
+    )
+    first = float(recording.output[np.isfinite(recording.output)][0])
+    start = (0.0, first) if recording.is_speed else (first, 0.0)
+    return Case(recording, drive, _reading_variance(recording), contact, start)
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A model at certain values: what there is to know for the next step."""
+
+    structure: Structure
+    values: dict[str, float]
+    density: float  # torque noise over reading variance, 1/s^3 (positions) or 1/s (speeds)
+    free: tuple[str, ...]
+    deviance: float  # minus twice the log-likelihood, up to a constant of the data
+    scale: float  # innovation variance found over that expected
+    normal: FloatArray  # (n, n) information about the free parameters
+    gradient: FloatArray  # (n,) of the log-likelihood
+    converged: bool = True
+    says: str = ""
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of the free parameters; what cannot be seen gets a huge variance, not a small one."""
+        size = np.sqrt(np.maximum(np.diag(self.normal), 1e-300))
+        scaled = self.normal / np.outer(size, size)
+        eigenvalues, vectors = np.linalg.eigh(scaled)
+        inverse = (vectors / np.maximum(eigenvalues, 1e-12)) @ vectors.T
+        return np.asarray(inverse / np.outer(size, size))
+
+
+def _start(case: Case, p: FloatArray, free: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+    gap = 0.5 * case.contact
+    x = kernel.start_state(*case.start, gap * p[INDEX["backlash_gap"]])
+    slope = np.zeros((len(STATES), len(free)))
+    if "backlash_gap" in free:
+        slope[2, free.index("backlash_gap")] = gap
+    return x, slope
+
+
+def gains_for(case: Case, damping: float, density: float) -> tuple[FloatArray, FloatArray]:
+    """Kalman gains and innovation variances in units of the reading's; a density of zero is a free run.
+
+    A free run starts from the first reading as it is.
+    """
+    if density == 0.0:
+        return kernel.free_gains(len(case.drive.time)), np.ones(len(case.drive.time))
+    y = case.recording.output
+    spread = float(np.nanmax(y) - np.nanmin(y))
+    duration = max(float(case.drive.time[-1]), 1e-9)
+    velocity = (spread if case.drive.speed else max(spread / duration, 1e-3 * spread)) ** 2
+    first = (1.0, 1.0) if case.drive.speed else (1.0, velocity / case.reading_variance)
+    return kernel.kalman(case.drive, damping, density, first)
+
+
+def _loss(z2: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Huber's loss of squared normalised innovations, and the weights of its quadratic majorant."""
+    z = np.sqrt(z2)
+    far = z > ROBUST_LIMIT
+    loss = np.where(far, ROBUST_LIMIT * (2.0 * z - ROBUST_LIMIT), z2)
+    return loss, np.where(far, ROBUST_LIMIT / np.maximum(z, 1e-300), 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Innovations:
+    """Of one case: readings minus predictions, their expected variance, and derivatives if asked for."""
+
+    error: FloatArray  # (N,) output unit; NaN where there is no reading
+    variance: FloatArray  # (N,) expected, before the common scale
+    slopes: FloatArray  # (N, n) of the prediction
+
+
+def innovations(
+    case: Case, structure: Structure, values: Mapping[str, float], density: float, free: tuple[str, ...] = ()
+) -> Innovations:
+    """Run one case through the predictor; slopes only where parameters are free."""
+    p = kernel.vector(structure, dict(values))
+    gains, spread = gains_for(case, values.get("viscous_friction", 0.0), density)
+    x, slope = _start(case, p, free)
+    if free:
+        predicted, slopes = kernel.predict_with_slopes(case.drive, p, x, slope, free, gains)
+    else:
+        predicted, _ = kernel.predict(case.drive, p, x, gains)
+        slopes = np.zeros((len(predicted), 0))
+    return Innovations(case.drive.measured - predicted, spread * case.reading_variance, slopes)
+
+
+def _scale_of(z2: FloatArray) -> float:
+    """Scale of squared normalised innovations, by Huber's loss: a few rounds reach its fixed point."""
+    scale = max(float(np.median(z2)) / 0.4549, float(np.mean(z2)) * 1e-3, 1e-30)
+    for _ in range(20):
+        _, weight = _loss(z2 / scale)
+        new = max(float(np.mean(weight * z2)), 1e-30)
+        if abs(new - scale) < 1e-9 * scale:
+            break
+        scale = new
+    return scale
+
+
+def evaluate(
+    cases: Sequence[Case],
+    structure: Structure,
+    values: Mapping[str, float],
+    density: float,
+    free: tuple[str, ...] = (),
+    run: Callable[..., list[Innovations]] | None = None,
+) -> Point:
+    """Deviance, gradient and information at these values."""
+    results = [innovations(c, structure, values, density, free) for c in cases] if run is None else run()
+    n = len(free)
+    z2s, logs, count = [], 0.0, 0
+    for r in results:
+        ok = np.isfinite(r.error)
+        z2s.append(r.error[ok] ** 2 / r.variance[ok])
+        logs += float(np.log(r.variance[ok]).sum())
+        count += int(ok.sum())
+    joined = np.concatenate(z2s)
+    if not np.all(np.isfinite(joined)) or count == 0:
+        return Point(structure, dict(values), density, free, math.inf, math.inf, np.eye(n), np.zeros(n))
+    scale = _scale_of(joined)
+    loss, _ = _loss(joined / scale)
+    deviance = float(loss.sum()) + logs + count * math.log(scale)
+    normal, gradient = np.zeros((n, n)), np.zeros(n)
+    if n:
+        for r, z2 in zip(results, z2s, strict=True):
+            ok = np.isfinite(r.error)
+            _, weight = _loss(z2 / scale)
+            weight = weight / (scale * r.variance[ok])
+            slopes = r.slopes[ok]
+            weighted = slopes * weight[:, None]
+            normal += weighted.T @ slopes
+            gradient += weighted.T @ r.error[ok]
+    if not np.all(np.isfinite(normal)) or not np.all(np.isfinite(gradient)):
+        return Point(structure, dict(values), density, free, math.inf, math.inf, np.eye(n), np.zeros(n))
+    return Point(structure, dict(values), density, free, deviance, scale, normal, gradient)
+
+
+def _moved(point: Point, damping: float) -> dict[str, float]:
+    """The values after one damped Gauss-Newton step that respects the bounds."""
+    active = np.ones(len(point.free), dtype=bool)
+    values = dict(point.values)
+    bounds = [_BOUNDS[name] for name in point.free]
+    here = np.array([values[name] for name in point.free])
+    step = np.zeros(len(here))
+    for _ in range(len(here) + 1):
+        index = np.flatnonzero(active)
+        if len(index) == 0:
+            break
+        a = point.normal[np.ix_(index, index)].copy()
+        size = np.sqrt(np.maximum(np.diag(a), 1e-300))
+        a = a / np.outer(size, size)
+        a[np.diag_indices_from(a)] += damping + 1e-12
+        step = np.zeros(len(here))
+        step[index] = np.linalg.solve(a, point.gradient[index] / size) / size
+        stuck = [
+            i
+            for i in index
+            if (here[i] <= bounds[i][0] and step[i] < 0.0) or (here[i] >= bounds[i][1] and step[i] > 0.0)
+        ]
+        if not stuck:
+            break
+        active[stuck] = False
+        step[stuck] = 0.0
+    for i, name in enumerate(point.free):
+        low, high = bounds[i]
+        values[name] = float(min(max(here[i] + step[i], low), high))
+    return values
+
+
+def climb(
+    cases: Sequence[Case],
+    structure: Structure,
+    values: Mapping[str, float],
+    density: float,
+    free: tuple[str, ...],
+    rounds: int = 30,
+    tolerance: float = 1e-3,
+) -> Point:
+    """Maximise the likelihood over the free parameters at a fixed noise density (Levenberg-Marquardt).
+
+    Stops when a step promises less than `tolerance` of deviance.
+    """
+    best = evaluate(cases, structure, values, density, free)
+    damping = 1e-3
+    for _ in range(rounds):
+        if not math.isfinite(best.deviance):
+            return replace(best, converged=False, says="the start lies where the model cannot run")
+        trial_values = _moved(best, damping)
+        change = np.array([trial_values[n] - best.values[n] for n in free])
+        promised = float(2.0 * best.gradient @ change - change @ best.normal @ change)
+        if promised < tolerance:
+            return best
+        trial = evaluate(cases, structure, trial_values, density, free)
+        gained = best.deviance - trial.deviance
+        if gained > 0.0:
+            best = trial
+            damping = max(damping * (0.1 if gained > 0.5 * promised else 0.5), 1e-9)
+            if gained < tolerance:
+                return best
+        else:
+            damping = max(damping * 10.0, 1e-4)
+            if damping > 1e8:
+                return best
+    return replace(best, converged=False, says="the search ran out of rounds")
+
+
+def best_density(
+    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], around: float | None = None
+) -> float:
+    """The noise density that makes the recordings likeliest at fixed parameters."""
+    low, high = (0.0, 14.0) if around is None else (math.log10(around) - 1.5, math.log10(around) + 1.5)
+    found = minimize_scalar(
+        lambda d: evaluate(cases, structure, values, 10.0**d).deviance,
+        bounds=(low, high), method="bounded", options={"xatol": 0.05},
+    )  # fmt: skip
+    return float(10.0**found.x)
+
+
+def fit(
+    cases: Sequence[Case],
+    structure: Structure,
+    values: Mapping[str, float],
+    free: tuple[str, ...],
+    density: float | None = None,
+    rounds: int = 30,
+) -> Point:
+    """Maximum likelihood over the free parameters and the noise density, alternating until neither moves."""
+    current = density if density is not None else best_density(cases, structure, values)
+    point = climb(cases, structure, values, current, free, rounds)
+    for _ in range(6):
+        found = best_density(cases, structure, point.values, around=current)
+        if abs(math.log10(found / current)) < 0.1:
+            break
+        current = found
+        point = climb(cases, structure, point.values, current, free, rounds)
+    return point
