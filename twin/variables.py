@@ -157,3 +157,10 @@ def variables(model: Model) -> tuple[Variable, ...]:
     for i in range(1, capacity + 1):
         add(f"delay_value[{i}]", held, "{u}", f"command {i} on its way")
     return tuple(found)
+
+
+def parameters_text(model: Model) -> str:
+    """resources/parameters.txt, which an FMU reads when it is instantiated: name, blank, start value."""
+    lines = ["# start values; twin update rewrites them"]
+    lines += [f"{v.name} {v.start!r}" for v in variables(model) if v.causality == "parameter"]
+    return "\n".join(lines) + "\n"

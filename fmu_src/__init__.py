@@ -1,0 +1,1 @@
+"""What goes into FMUs: the plumbing of the standard, which knows no physics."""

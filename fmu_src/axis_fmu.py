@@ -1,0 +1,308 @@
+"""The slave: how an axis behaves as an FMU, whatever its physics.
+
+Standard library and pythonfmu only. The packer appends the generated functions `step` and `sensor` to this
+text and gives the file a name of its own: two FMUs in one process must not share a module that differs.
+What the FMU shows stands in resources/interface.json, the start values in resources/parameters.txt.
+Errors come out as a logged sentence and a status, never as an exception, which would bring the host down.
+"""
+
+import json
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement
+
+from pythonfmu import Fmi2Slave
+from pythonfmu.enums import Fmi2Status
+
+
+def finite(number):
+    return number - number == 0.0
+
+
+class Axis(Fmi2Slave):
+    """One axis. `v` holds every variable by value reference, `x` the states as the stepper wants them."""
+
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        resources = Path(self.resources)
+        self.face = json.loads((resources / "interface.json").read_text(encoding="utf-8"))
+        self.modelName = self.face["identifier"]
+        lines = (resources / "parameters.txt").read_text(encoding="utf-8").splitlines()
+        pairs = (line.split() for line in lines if line and not line.startswith("#"))
+        values = {name: float(value) for name, value in pairs}
+        self.variables = self.face["variables"]
+        references = {variable["name"]: variable["reference"] for variable in self.variables}
+        self.v = [values.get(variable["name"], 0.0) for variable in self.variables]
+        self.states = [references[name] for name in self.face["states"]]
+        self.known = [references.get(name) for name in self.face["known"]]
+        self.parameters = [references[name] for name in self.face["parameters"]]
+        self.starts = [references["position_start"], references["velocity_start"]]
+        self.settable = {v["reference"] for v in self.variables if v["causality"] == "parameter"}
+        self.measured = references["position_measured"]
+        self.capacity = self.face["delay_capacity"]
+        if self.capacity:
+            self.delay = references["delay"]
+            self.acting = references["acting_command"]
+            self.count = references["delay_count"]
+            self.times = references["delay_time[1]"]
+            self.values = references["delay_value[1]"]
+        self.longest = self.face["longest_step"]
+        self.round = self.face["round"]
+        self.x = [0.0] * len(self.states)
+        self.p = []
+        self.k = []
+        self.ready = False
+        self.clock = None  # where the last step ended, in the importer's time
+        self.changed = True
+        self.begin()
+
+    # Life of an instance
+
+    def setup_experiment(self, start_time, stop_time=None, tolerance=None):
+        self.clock = start_time
+
+    def enter_initialization_mode(self):
+        self.begin()
+
+    def exit_initialization_mode(self):
+        self.begin()
+        self.ready = True
+
+    def terminate(self):
+        self.ready = False
+
+    def begin(self):
+        """Put the axis where the start values say, at rest inside, nothing on its way."""
+        position, velocity = (self.v[i] for i in self.starts)
+        self.x[:] = [position, velocity, 0.0, velocity, 0.0, 0.0, 0.0]
+        if self.capacity:
+            self.v[self.acting] = self.v[self.count] = 0.0
+        self.take()
+        self.show()
+
+    def take(self):
+        """Hand parameters to the stepper; a sentence where one cannot be used."""
+        v = self.v
+        for i in self.settable:
+            variable = self.variables[i]
+            low, high = variable["min"], variable["max"]
+            if not finite(v[i]) or (low is not None and v[i] < low) or (high is not None and v[i] > high):
+                span = f"[{'-inf' if low is None else low}, {'inf' if high is None else high}]"
+                return f"parameter {variable['name']} is {v[i]}, not a finite number in {span}: set one"
+        self.p = [v[i] for i in self.parameters]
+        self.k = [0.0 if i is None else v[i] for i in self.known]
+        self.changed = False
+        return ""
+
+    def show(self):
+        """Write the states where the importer reads them."""
+        v, x = self.v, self.x
+        for i, value in zip(self.states, x):  # noqa: B905
+            v[i] = value
+        v[self.measured] = x[0] + (sensor(x[0], self.p) if self.p else 0.0)  # noqa: F821
+
+    # Steps
+
+    def do_step(self, current_time, step_size):
+        try:
+            problem = self.problem(current_time, step_size)
+            if not problem:
+                self.move(step_size)
+                self.show()
+                self.clock = current_time + step_size
+                if finite(self.x[0]) and finite(self.x[1]):
+                    return True
+                problem = "the motion has become infinite or NaN: check the parameters"
+        except Exception as error:
+            problem = f"{type(error).__name__}: {error}"
+        self.log(f"doStep from {current_time} by {step_size} s: {problem}", Fmi2Status.error)
+        return False
+
+    def problem(self, time, length):
+        """Why this step cannot be taken, or nothing."""
+        if not self.ready:
+            return "the axis is not initialised: end the initialisation mode first"
+        if not finite(self.v[0]):
+            return f"input {self.variables[0]['name']} is {self.v[0]}: set a finite number"
+        if not finite(time) or not finite(length) or length < 0.0:
+            return "the time is not finite or the step is negative: steps go forward"
+        if self.clock is not None:
+            if time < self.clock - 0.01 * length - 1e-9:
+                return (
+                    f"time goes back, the last step ended at {self.clock} s: go on there or restore a state"
+                )
+            if time > self.clock + 0.01 * length + 1e-9:
+                return f"time jumps ahead, the last step ended at {self.clock} s: go on there"
+        return self.take() if self.changed else ""
+
+    def move(self, length):
+        command = self.v[0]
+        if not self.capacity:
+            self.run(length, command)
+            return
+        v = self.v
+        self.give(command)
+        now = self.x[-1]
+        end = now + length
+        delay = v[self.delay]
+        while now < end:
+            while v[self.count] and v[self.times] + delay <= now:
+                v[self.acting] = v[self.values]
+                self.drop(0)
+            until = end
+            if v[self.count] and v[self.times] + delay < end:
+                until = v[self.times] + delay
+            self.run(until - now, v[self.acting])
+            now = until
+
+    def run(self, length, command):
+        x, p, k = self.x, self.p, self.k
+        pieces = int(length / self.longest + self.round) or 1
+        piece = length / pieces
+        for _ in range(pieces):
+            step(x, p, k, command, piece)  # noqa: F821
+
+    # The commands on their way
+
+    def give(self, command):
+        """The command of this step joins the line."""
+        v, times, values = self.v, self.times, self.values
+        now = self.x[-1]
+        count = int(v[self.count])
+        if count and v[times + count - 1] == now:
+            count -= 1
+        if count == self.capacity:
+            ends = [*v[times + 1 : times + count], now]
+            lasted = [ends[i + 1] - v[times + i] for i in range(count - 1)]
+            i = lasted.index(min(lasted))
+            share = (ends[i] - v[times + i]) / lasted[i]
+            v[values + i + 1] = share * v[values + i] + (1.0 - share) * v[values + i + 1]
+            v[times + i + 1] = v[times + i]
+            self.drop(i)
+            count -= 1
+        v[times + count] = now
+        v[values + count] = command
+        v[self.count] = count + 1.0
+
+    def drop(self, place):
+        v = self.v
+        last = int(v[self.count]) - 1
+        for first in (self.times, self.values):
+            v[first + place : first + last] = v[first + place + 1 : first + last + 1]
+        v[self.count] = float(last)
+
+    # What the importer reads and sets
+
+    def get_real(self, vrs):
+        v = self.v
+        try:
+            return [v[i] for i in vrs]
+        except IndexError:
+            self.log(f"getReal: there is no variable with one of the references {vrs}", Fmi2Status.error)
+            return [float("nan")] * len(vrs)
+
+    def set_real(self, vrs, values):
+        for i, value in zip(vrs, values):  # noqa: B905
+            if i == 0:
+                self.v[0] = value
+            elif i not in self.settable or (self.ready and i in self.starts):
+                name = self.variables[i]["name"] if i < len(self.v) else f"with reference {i}"
+                self.log(f"setReal: variable {name} cannot be set now; it keeps its value", Fmi2Status.error)
+            else:
+                self.v[i] = value
+                self.changed = True
+        if not self.ready and self.changed:
+            self.begin()
+
+    def other(self, vrs, nothing):
+        self.log("this FMU has variables of type Real only", Fmi2Status.error)
+        return [nothing] * len(vrs)
+
+    def get_integer(self, vrs):
+        return self.other(vrs, 0)
+
+    def get_boolean(self, vrs):
+        return self.other(vrs, False)
+
+    def get_string(self, vrs):
+        return self.other(vrs, "")
+
+    def set_integer(self, vrs, values):
+        self.other(vrs, None)
+
+    def set_boolean(self, vrs, values):
+        self.other(vrs, None)
+
+    def set_string(self, vrs, values):
+        self.other(vrs, None)
+
+    def _get_fmu_state(self):
+        return {"v": list(self.v), "ready": self.ready, "clock": self.clock}
+
+    def _set_fmu_state(self, state):
+        self.v[:] = state["v"]
+        self.ready = state["ready"]
+        self.clock = state["clock"]
+        self.x[:] = [self.v[i] for i in self.states]
+        self.changed = True
+
+    # The model description
+
+    def to_xml(self, model_options=None):
+        face = self.face
+        root = Element(
+            "fmiModelDescription",
+            fmiVersion="2.0",
+            modelName=face["name"],
+            guid=face["guid"],
+            description=face["description"],
+            generationTool=face["tool"],
+            variableNamingConvention="structured",
+        )
+        SubElement(
+            root,
+            "CoSimulation",
+            modelIdentifier=face["identifier"],
+            needsExecutionTool="true",
+            canHandleVariableCommunicationStepSize="true",
+            canNotUseMemoryManagementFunctions="true",
+            canGetAndSetFMUstate="true",
+            canSerializeFMUstate="true",
+        )
+        units = SubElement(root, "UnitDefinitions")
+        for name, (factor, exponents) in face["units"].items():
+            scale = {} if factor == 1.0 else {"factor": repr(factor)}
+            powers = {base: str(power) for base, power in exponents.items()}
+            SubElement(SubElement(units, "Unit", name=name), "BaseUnit", powers | scale)
+        categories = SubElement(root, "LogCategories")
+        for name, description in self.log_categories.items():
+            SubElement(categories, "Category", name=name, description=description)
+        SubElement(
+            root, "DefaultExperiment", startTime="0.0", stopTime="10.0", stepSize=repr(face["sample_time"])
+        )
+        self.list_variables(SubElement(root, "ModelVariables"))
+        self.list_structure(SubElement(root, "ModelStructure"))
+        return root
+
+    def list_variables(self, parent):
+        for variable in self.variables:
+            words = ("name", "description", "causality", "variability", "initial")
+            attributes = {word: variable[word] for word in words if variable[word] is not None}
+            attributes["valueReference"] = str(variable["reference"])
+            node = SubElement(parent, "ScalarVariable", attributes)
+            numbers = {w: repr(variable[w]) for w in ("min", "max", "nominal") if variable[w] is not None}
+            if variable["initial"] != "calculated":
+                numbers["start"] = repr(self.v[variable["reference"]])
+            SubElement(node, "Real", {"unit": variable["unit"], **numbers})
+
+    def list_structure(self, parent):
+        place = {variable["name"]: i for i, variable in enumerate(self.variables, 1)}
+        outputs = [variable for variable in self.variables if variable["causality"] == "output"]
+        first, start = SubElement(parent, "Outputs"), SubElement(parent, "InitialUnknowns")
+        for variable in outputs:
+            index = str(place[variable["name"]])
+            # Between steps no output follows the input at once: masters must not see an algebraic loop.
+            SubElement(first, "Unknown", index=index, dependencies="", dependenciesKind="")
+            origin = sorted(place[name] for name in variable["initially_from"])
+            kind = " ".join("dependent" for _ in origin)
+            indices = " ".join(map(str, origin))
+            SubElement(start, "Unknown", index=index, dependencies=indices, dependenciesKind=kind)

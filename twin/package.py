@@ -1,0 +1,254 @@
+"""Models as FMUs: export, update, read back, and replay of a recording through one in FMPy."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import io
+import json
+import math
+import os
+import re
+import tempfile
+import zipfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu_src import pack
+from twin.archive import Fmu, open_fmu
+from twin.axis import KNOWN
+from twin.errors import BadInput
+from twin.model import Model, dumps, loads
+from twin.recording import Recording
+from twin.running import running
+from twin.variables import OUTPUTS, ROUND, STATE_NAMES, base_unit, delay_capacity, parameters_text, variables
+from twin.writers import python
+
+FloatArray = NDArray[np.float64]
+
+_MODEL = "resources/model.toml"
+_VALUES = "resources/parameters.txt"
+_DESCRIPTION = "modelDescription.xml"
+
+
+def _write_whole(out: Path, content: bytes) -> None:
+    """The file appears whole or not at all. Raises BadInput."""
+    try:
+        handle, name = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name[:50]}-")
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(content)
+            umask = os.umask(0)
+            os.umask(umask)
+            Path(name).chmod(0o666 & ~umask)
+            Path(name).replace(out)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise BadInput(
+            f"{out} cannot be written ({error.strerror}): choose another place with --out"
+        ) from None
+
+
+def interface(model: Model) -> dict[str, Any]:
+    """What the slave must know of the model, its numbers apart; identifier and GUID are hashes of all of it."""
+    shown = variables(model)
+    listed = [{key: value for key, value in asdict(v).items() if key != "start"} for v in shown]
+    face: dict[str, Any] = {
+        "name": "axis",
+        "description": "Motor-driven axis with " + ", ".join(e.title for e in model.structure.effects),
+        "tool": f"twin with pythonfmu {importlib.metadata.version('pythonfmu')}",
+        "units": {unit: base_unit(unit) for unit in sorted({v.unit for v in shown})},
+        "variables": listed,
+        "states": list(STATE_NAMES),
+        "known": list(KNOWN),
+        "parameters": [p.name for p in model.structure.parameters],
+        "delay_capacity": delay_capacity(model),
+        "longest_step": model.longest_step,
+        "round": ROUND,
+        "sample_time": model.sample_time,
+    }
+    content = json.dumps(face, sort_keys=True) + slave_text(model)
+    digest = hashlib.sha256(content.encode()).hexdigest()
+    return face | {"identifier": f"axis_{digest[:12]}", "guid": f"{{{digest[:32]}}}"}
+
+
+def slave_text(model: Model) -> str:
+    """The slave's module: its behaviour, and the physics of the structure below it."""
+    return pack.SLAVE.read_text(encoding="utf-8") + python.write(model.structure)
+
+
+def export(model: Model, out: Path, force: bool = False) -> Path:
+    """Write the model's FMU (FMI 2.0 co-simulation, through pythonfmu). Raises BadInput."""
+    if out.exists() and not force:
+        raise BadInput(f"{out} is there already: choose another name, or overwrite it with --force")
+    if not out.parent.is_dir():
+        raise BadInput(f"{out.parent} is not a folder: make it first, or choose another place with --out")
+    face = interface(model)
+    resources = {
+        "interface.json": json.dumps(face, indent=1) + "\n",
+        "parameters.txt": parameters_text(model),
+        "model.toml": dumps(model),
+    }
+    _write_whole(out, pack.pack(slave_text(model), face["identifier"], resources))
+    return out
+
+
+def read_model(fmu: Path) -> Model:
+    """The model inside an FMU of ours. Raises BadInput."""
+    opened = open_fmu(fmu)
+    try:
+        text = opened.read(_MODEL).decode("utf-8")
+    except UnicodeDecodeError:
+        raise BadInput(f"{fmu}: {_MODEL} is not UTF-8 text: export the FMU again") from None
+    return loads(text, f"{fmu}: {_MODEL}")
+
+
+# ---- update ----
+
+
+def _differences(old: Model, new: Model) -> str:
+    parts = []
+    gone = [i for i in old.structure.ids if i not in new.structure]
+    more = [i for i in new.structure.ids if i not in old.structure]
+    if gone:
+        parts.append(f"the FMU has {', '.join(gone)}, which the model lacks")
+    if more:
+        parts.append(f"the model has {', '.join(more)}, which the FMU lacks")
+    if old.axis_unit != new.axis_unit:
+        parts.append(f"the FMU's axis is in {old.axis_unit}, the model's in {new.axis_unit}")
+    if old.input_unit != new.input_unit:
+        parts.append(f"the FMU's input is in {old.input_unit}, the model's in {new.input_unit}")
+    return "; ".join(parts)
+
+
+def _with_starts(fmu: Fmu, text: bytes, model: Model) -> bytes:
+    """The description with other start values; every other byte stays. Raises BadInput."""
+    described = text.decode("utf-8")
+    for variable in variables(model):
+        if variable.causality != "parameter":
+            continue
+        element = re.compile(
+            rf"<(ScalarVariable|Float64)\b[^<]*?\bname={re.escape(quoteattr(variable.name))}[^<]*(?:<Real\b[^<]*)?"
+        )
+        found = element.search(described)
+        start = found and re.search(r'\bstart="[^"]*"', found.group())
+        if found is None or not start:
+            raise BadInput(f"{fmu.path} has no parameter {variable.name}: export it again with this version")
+        first = found.start() + start.start()
+        described = (
+            described[:first] + f'start="{variable.start!r}"' + described[found.start() + start.end() :]
+        )
+    return described.encode("utf-8")
+
+
+def update(fmu: Path, model: Model, out: Path | None = None) -> Path:
+    """Write the model's parameters into an FMU of ours, of either kind; every other byte stays as it is.
+
+    Without `out` the FMU itself is replaced, whole or not at all. Raises BadInput.
+    """
+    opened = open_fmu(fmu)
+    different = _differences(read_model(fmu), model)
+    if different:
+        raise BadInput(f"{fmu} has another structure: {different}; make a new FMU with twin export")
+    fresh = {_MODEL: dumps(model).encode(), _VALUES: parameters_text(model).encode()}
+    fresh[_DESCRIPTION] = _with_starts(opened, opened.read(_DESCRIPTION), model)
+    target = io.BytesIO()
+    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(target, "w") as new:
+        new.comment = old.comment
+        for info in old.infolist():
+            content = fresh.get(info.filename)
+            new.writestr(info, old.read(info) if content is None else content)
+    _write_whole(out or fmu, target.getvalue())
+    return out or fmu
+
+
+# ---- replay ----
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """What the FMU did at the recording's stamps; all arrays have shape (N,)."""
+
+    time: FloatArray  # s
+    position: FloatArray
+    velocity: FloatArray
+    position_measured: FloatArray
+
+    def output(self, recording: Recording) -> FloatArray:
+        """What stands against the recording's output (N,)."""
+        return self.velocity if recording.is_speed else self.position_measured
+
+    def rmse(self, recording: Recording) -> float:
+        """Root mean square error over the readings that are there, in the output's unit."""
+        error = self.output(recording) - recording.output
+        return float(np.sqrt(np.nanmean(error**2)))
+
+    def nrmse_percent(self, recording: Recording) -> float:
+        """rmse over the range of the recorded output, percent."""
+        span = float(np.nanmax(recording.output) - np.nanmin(recording.output))
+        return 100.0 * self.rmse(recording) / span if span > 0.0 else math.inf
+
+
+def start_of(recording: Recording, window: float = 0.02) -> tuple[float, float]:
+    """Position and velocity at the first stamp, from a line through the readings of the first `window` s.
+
+    A speed that is within what noise and resolution make of a resting axis is taken as rest. A recording of
+    speed begins at position zero.
+    """
+    seen = np.flatnonzero(np.isfinite(recording.output))
+    if seen.size == 0:
+        raise BadInput(f"{recording.name}: no reading is left, so there is nothing to compare with")
+    near = seen[recording.time[seen] <= max(recording.time[seen[0]] + window, recording.time[seen[:5][-1]])]
+    time, output = recording.time[near], recording.output[near]
+    if recording.is_speed:
+        return 0.0, float(np.mean(output))
+    if len(near) < 3:
+        return float(output[0]), 0.0
+    middle = time - time.mean()
+    spread = float(middle @ middle)
+    slope = float(middle @ output) / spread
+    rest = output - output.mean() - slope * middle
+    noise = max(float(rest @ rest) / (len(near) - 2), recording.resolution**2 / 12.0)
+    if abs(slope) < 3.0 * math.sqrt(noise / spread):
+        return float(output.mean()), 0.0
+    return float(output.mean() + slope * (recording.time[0] - time.mean())), slope
+
+
+def replay(fmu: Path, recording: Recording, start: tuple[float, float] | None = None) -> Replay:
+    """Drive the recorded input through the FMU in FMPy, one communication step from stamp to stamp.
+
+    `start` is position and velocity at the first stamp, from the recording's first readings where not given.
+    Known quantities of the recording are set. Raises BadInput where the FMU refuses or its results are NaN.
+    """
+    opened = open_fmu(fmu)
+    names = {node.get("name") for node in opened.description.findall("ModelVariables/*")}
+    inputs = [
+        node.get("name", "")
+        for node in opened.description.findall("ModelVariables/*")
+        if node.get("causality") == "input"
+    ]
+    if len(inputs) != 1:
+        raise BadInput(f"{fmu} has {len(inputs)} inputs, not one: give an FMU that twin export wrote")
+    position, velocity = start_of(recording) if start is None else start
+    values = {"position_start": float(position), "velocity_start": float(velocity)}
+    values |= {
+        name: float(value) for name, value in recording.known.items() if name in KNOWN and name in names
+    }
+    time, command = recording.time.tolist(), recording.input.tolist()
+    seen = np.empty((len(time), len(OUTPUTS)))
+    with running(opened, inputs, OUTPUTS) as instance:
+        instance.start(values, time[0])
+        seen[0] = instance.read()
+        for i in range(len(time) - 1):
+            seen[i + 1] = instance.step(time[i], time[i + 1] - time[i], command[i : i + 1])
+    if not np.isfinite(seen).all():
+        at = time[int(np.argmin(np.isfinite(seen).all(axis=1)))]
+        raise BadInput(f"{fmu}: the simulation is no longer a number at {at:g} s: check the parameters")
+    return Replay(recording.time, *(np.ascontiguousarray(column) for column in seen.T))
