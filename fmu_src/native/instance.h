@@ -1,0 +1,424 @@
+/* One instance of an exported axis: values, start and reset, communication steps, saved states.
+ *
+ * Knows FMI's rules and no physics. axis.h, written for each model, brings the table of variables and the
+ * functions `step` and `sensor`. fmi2.c and fmi3.c put the standard's names on what is here. Memory is taken when
+ * an instance is made and when an importer asks for a copy of the state, at no other time.
+ */
+#ifndef INSTANCE_H
+#define INSTANCE_H
+
+#include <locale.h>
+#include <math.h>
+#include <stdarg.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#ifdef _WIN32
+#include <windows.h>
+#endif
+
+/* When a variable may be set. */
+typedef enum { NEVER, BEFORE_START, ANY_TIME } Settable;
+
+typedef struct {
+    const char *name;
+    size_t slot; /* where its value stands in State.slot */
+    double least, most;
+    Settable settable;
+} Variable;
+
+#include "axis.h"
+
+typedef enum { MADE, INITIALIZING, RUNNING, EVENTS, CONTINUOUS, ENDED } Mode;
+
+/* Everything that a saved state holds. */
+typedef struct {
+    double slot[SLOTS];
+    double now; /* the importer's time */
+    Mode mode;
+    int exchange; /* instantiated for model exchange */
+    int stale; /* a value was set since the last refresh */
+} State;
+
+typedef struct {
+    State state;
+    double start[SLOTS]; /* what reset returns to: compiled-in, overridden by resources/parameters.txt */
+    char name[128];
+    void *environment;
+    void (*logger)(void); /* the importer's, in the standard's own type */
+} Instance;
+
+/* Hand a sentence to the importer; defined by fmi2.c and fmi3.c. */
+static void tell(const Instance *me, const char *sentence);
+
+#if defined __GNUC__
+__attribute__((format(printf, 2, 3)))
+#endif
+static int refuse(const Instance *me, const char *format, ...)
+{
+    char sentence[512];
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(sentence, sizeof sentence, format, arguments);
+    va_end(arguments);
+    tell(me, sentence);
+    return 0;
+}
+
+/* ---- values ---- */
+
+/* What follows from other values: the state before the start, and what the sensor reads. */
+static void refresh(State *s)
+{
+    double *x = s->slot + FIRST_STATE;
+    if (s->mode == MADE || s->mode == INITIALIZING) {
+        for (size_t i = 0; i < STATES; ++i) x[i] = 0.0;
+        x[POSITION] = s->slot[POSITION_START];
+        x[VELOCITY] = x[MOTOR_VELOCITY] = s->slot[VELOCITY_START];
+    }
+    s->slot[MEASURED] = x[POSITION] + sensor(x[POSITION], s->slot + FIRST_PARAMETER);
+    s->stale = 0;
+}
+
+static int accept(const Instance *me, const Variable *v, double value)
+{
+    if (!isfinite(value)) return refuse(me, "%s is not a finite number: give one", v->name);
+    if (value < v->least || value > v->most)
+        return refuse(me, "%s = %.9g is outside [%.9g, %.9g]: correct it", v->name, value, v->least, v->most);
+    return 1;
+}
+
+static int set_value(Instance *me, size_t reference, double value)
+{
+    State *s = &me->state;
+    if (reference >= VARIABLES) return refuse(me, "no variable has the value reference %u", (unsigned)reference);
+    const Variable *v = &variables[reference];
+    if (v->settable == NEVER) return refuse(me, "%s is not an input or a parameter: it cannot be set", v->name);
+    if (v->settable == BEFORE_START && s->mode != MADE && s->mode != INITIALIZING)
+        return refuse(me, "%s can be set only before the simulation starts", v->name);
+    if (s->mode == ENDED) return refuse(me, "%s cannot be set after the end: reset first", v->name);
+    if (!accept(me, v, value)) return 0;
+    s->slot[v->slot] = value;
+    s->stale = 1;
+    return 1;
+}
+
+static int get_value(Instance *me, size_t reference, double *value)
+{
+    if (reference >= VARIABLES) return refuse(me, "no variable has the value reference %u", (unsigned)reference);
+    if (me->state.stale) refresh(&me->state);
+    *value = me->state.slot[variables[reference].slot];
+    return 1;
+}
+
+/* ---- start values from the unpacked FMU ---- */
+
+static FILE *open_for_reading(const char *path)
+{
+#ifdef _WIN32
+    wchar_t wide[4096];
+    if (MultiByteToWideChar(CP_UTF8, 0, path, -1, wide, 4096) == 0) return NULL;
+    return _wfopen(wide, L"rb");
+#else
+    return fopen(path, "rb");
+#endif
+}
+
+static int from_hex(char c)
+{
+    if (c >= '0' && c <= '9') return c - '0';
+    if (c >= 'a' && c <= 'f') return c - 'a' + 10;
+    if (c >= 'A' && c <= 'F') return c - 'A' + 10;
+    return -1;
+}
+
+/* The path behind a file URI (a plain path is left as it is); 0 where it does not fit. */
+static int path_from_uri(const char *uri, char *path, size_t size)
+{
+    int escaped = strncmp(uri, "file:", 5) == 0;
+    if (escaped) {
+        uri += 5;
+        if (strncmp(uri, "//", 2) == 0) {
+            uri += 2;
+            while (*uri != '\0' && *uri != '/') ++uri;
+        }
+#ifdef _WIN32
+        if (*uri == '/') ++uri;
+#endif
+    }
+    size_t n = 0;
+    while (*uri != '\0') {
+        if (n + 1 >= size) return 0;
+        int high = -1, low = -1;
+        if (escaped && uri[0] == '%') {
+            high = from_hex(uri[1]);
+            low = high < 0 ? -1 : from_hex(uri[2]);
+        }
+        if (low >= 0) {
+            path[n++] = (char)(16 * high + low);
+            uri += 3;
+        } else {
+            path[n++] = *uri++;
+        }
+    }
+    path[n] = '\0';
+    return 1;
+}
+
+static int read_line(Instance *me, char *line)
+{
+    char *number = strchr(line, ' ');
+    if (number == NULL) return refuse(me, "resources/parameters.txt: '%.80s' is not a name and a value", line);
+    *number++ = '\0';
+    /* strtod reads the decimal point of the host's locale. */
+    char *point = strchr(number, '.');
+    const struct lconv *local = localeconv();
+    if (point != NULL && local->decimal_point[0] != '\0' && local->decimal_point[1] == '\0')
+        *point = local->decimal_point[0];
+    char *end;
+    double value = strtod(number, &end);
+    if (end == number || strspn(end, " \r\n") != strlen(end))
+        return refuse(me, "resources/parameters.txt: %.80s has no number as its value", line);
+    for (size_t i = 0; i < VARIABLES; ++i) {
+        if (variables[i].settable == NEVER || strcmp(variables[i].name, line) != 0) continue;
+        if (!accept(me, &variables[i], value)) return 0;
+        me->start[variables[i].slot] = value;
+        return 1;
+    }
+    return refuse(me, "resources/parameters.txt: %.80s is not a parameter of this model", line);
+}
+
+static int load_start_values(Instance *me, const char *resources)
+{
+    char path[4096], line[256];
+    if (resources == NULL || resources[0] == '\0') return 1;
+    if (!path_from_uri(resources, path, sizeof path - sizeof "/parameters.txt"))
+        return refuse(me, "the path of the resources is longer than %u characters: unpack elsewhere", (unsigned)sizeof path);
+    size_t n = strlen(path);
+    if (n > 0 && path[n - 1] != '/' && path[n - 1] != '\\') strcat(path, "/");
+    strcat(path, "parameters.txt");
+    FILE *file = open_for_reading(path);
+    if (file == NULL) {
+        refuse(me, "resources/parameters.txt cannot be read: the values that were compiled in are used");
+        return 1;
+    }
+    int good = 1;
+    while (good && fgets(line, sizeof line, file) != NULL)
+        if (line[0] != '#' && line[strspn(line, " \r\n")] != '\0') good = read_line(me, line);
+    fclose(file);
+    return good;
+}
+
+/* ---- life ---- */
+
+static void restart(Instance *me)
+{
+    State *s = &me->state;
+    int exchange = s->exchange;
+    memset(s, 0, sizeof *s);
+    memcpy(s->slot, me->start, sizeof me->start);
+    s->exchange = exchange;
+    s->mode = MADE;
+    refresh(s);
+}
+
+/* A new instance, or NULL with the reason told. */
+static Instance *make(const char *name, const char *token, const char *resources, int exchange, void *environment,
+                      void (*logger)(void))
+{
+    Instance *me = calloc(1, sizeof *me);
+    if (me == NULL) return NULL;
+    snprintf(me->name, sizeof me->name, "%s", name == NULL ? "" : name);
+    me->environment = environment;
+    me->logger = logger;
+    me->state.exchange = exchange;
+    memcpy(me->start, compiled_in, sizeof compiled_in);
+    int good = 1;
+    if (token == NULL || strcmp(token, TOKEN) != 0)
+        good = refuse(me, "the model description belongs to another build: its GUID or token is not %s", TOKEN);
+    if (exchange && !EXCHANGE) good = refuse(me, "this axis is exported for co-simulation only");
+    if (!good || !load_start_values(me, resources)) {
+        free(me);
+        return NULL;
+    }
+    restart(me);
+    return me;
+}
+
+static int change_mode(Instance *me, Mode from, Mode to, const char *what)
+{
+    if (me->state.mode != from) return refuse(me, "%s was called out of turn", what);
+    me->state.mode = to;
+    return 1;
+}
+
+static int begin_at(Instance *me, double time)
+{
+    if (!isfinite(time)) return refuse(me, "the start time is not a finite number");
+    if (me->state.mode != MADE) return refuse(me, "the start time was given after initialization");
+    me->state.now = time;
+    return 1;
+}
+
+static int start(Instance *me)
+{
+    if (me->state.mode != INITIALIZING) return refuse(me, "initialization ended without having begun");
+    refresh(&me->state);
+    me->state.mode = me->state.exchange ? EVENTS : RUNNING;
+    return 1;
+}
+
+static int end(Instance *me)
+{
+    if (me->state.mode < RUNNING) return refuse(me, "the end was called before the start");
+    me->state.mode = ENDED;
+    return 1;
+}
+
+/* ---- communication steps ---- */
+
+static int move_pieces(Instance *me, double command, double span)
+{
+    double *slot = me->state.slot;
+    double pieces = floor(span / LONGEST_STEP + ROUND);
+    if (pieces < 1.0) pieces = 1.0;
+    if (pieces > 1e9) return refuse(me, "a step of %.9g s is too long: give shorter ones", span);
+    double h = span / pieces;
+    for (long i = 0, n = (long)pieces; i < n; ++i)
+        step(slot + FIRST_STATE, slot + FIRST_PARAMETER, slot + FIRST_KNOWN, command, h);
+    return 1;
+}
+
+#if DELAY_CAPACITY
+/* Commands on their way, oldest first, and the moments at which they were given. */
+static void leave_line(double *slot, size_t i)
+{
+    size_t behind = (size_t)slot[DELAY_COUNT] - i - 1;
+    memmove(slot + DELAY_TIME + i, slot + DELAY_TIME + i + 1, behind * sizeof *slot);
+    memmove(slot + DELAY_VALUE + i, slot + DELAY_VALUE + i + 1, behind * sizeof *slot);
+    slot[DELAY_COUNT] -= 1.0;
+}
+
+/* Join the two neighbours that together lasted shortest, to their mean over that time. */
+static void make_room(double *slot, double now)
+{
+    double *time = slot + DELAY_TIME, *value = slot + DELAY_VALUE;
+    size_t best = 0;
+    double shortest = HUGE_VAL;
+    for (size_t i = 0; i + 1 < DELAY_CAPACITY; ++i) {
+        double lasted = (i + 2 < DELAY_CAPACITY ? time[i + 2] : now) - time[i];
+        if (lasted < shortest) {
+            shortest = lasted;
+            best = i;
+        }
+    }
+    double share = shortest > 0.0 ? (time[best + 1] - time[best]) / shortest : 0.0;
+    value[best] = share * value[best] + (1.0 - share) * value[best + 1];
+    double joined_time = time[best], joined_value = value[best];
+    leave_line(slot, best);
+    time[best] = joined_time;
+    value[best] = joined_value;
+}
+
+static int move(Instance *me, double span)
+{
+    double *slot = me->state.slot, delay = slot[DELAY];
+    double now = slot[FIRST_STATE + TIME], end = now + span;
+    double slack = (1.0 - ROUND) * LONGEST_STEP; /* no pieces that exist by rounding only */
+    if (slot[DELAY_COUNT] >= DELAY_CAPACITY) make_room(slot, now);
+    slot[DELAY_TIME + (size_t)slot[DELAY_COUNT]] = now;
+    slot[DELAY_VALUE + (size_t)slot[DELAY_COUNT]] = slot[COMMAND];
+    slot[DELAY_COUNT] += 1.0;
+    while (now < end) {
+        while (slot[DELAY_COUNT] > 0.0 && slot[DELAY_TIME] + delay <= now + slack) {
+            slot[ACTING] = slot[DELAY_VALUE];
+            leave_line(slot, 0);
+        }
+        double until = end;
+        if (slot[DELAY_COUNT] > 0.0 && slot[DELAY_TIME] + delay < end - slack) until = slot[DELAY_TIME] + delay;
+        if (!move_pieces(me, slot[ACTING], until - now)) return 0;
+        now = until;
+    }
+    return 1;
+}
+#else
+static int move(Instance *me, double span)
+{
+    return move_pieces(me, me->state.slot[COMMAND], span);
+}
+#endif
+
+static int communicate(Instance *me, double from, double span)
+{
+    State *s = &me->state;
+    if (s->mode != RUNNING || s->exchange) return refuse(me, "a step was asked for before the end of initialization");
+    if (!isfinite(from) || !isfinite(span)) return refuse(me, "the time or the length of a step is not a finite number");
+    if (span < 0.0) return refuse(me, "a step of %.9g s goes back in time: steps are positive", span);
+    double slack = 1e-9 * fmax(1.0, fabs(s->now));
+    if (from < s->now - slack)
+        return refuse(me, "time goes back from %.9g s to %.9g s: restore a saved state or reset", s->now, from);
+    if (from > s->now + slack)
+        return refuse(me, "time jumps from %.9g s to %.9g s: a step starts where the last one ended", s->now, from);
+    if (span > 0.0 && !move(me, span)) return 0;
+    s->now = from + span;
+    refresh(s);
+    for (size_t i = 0; i < STATES; ++i)
+        if (!isfinite(s->slot[FIRST_STATE + i]))
+            return refuse(me, "the motion is no longer finite at %.9g s: check the parameters", s->now);
+    return 1;
+}
+
+/* ---- saved states ---- */
+
+static int save(const Instance *me, void **saved)
+{
+    if (*saved == NULL) *saved = malloc(sizeof(State));
+    if (*saved == NULL) return refuse(me, "there is no memory for a saved state");
+    memcpy(*saved, &me->state, sizeof(State));
+    return 1;
+}
+
+static int restore(Instance *me, const void *saved)
+{
+    if (saved == NULL) return refuse(me, "there is no saved state to restore");
+    memcpy(&me->state, saved, sizeof(State));
+    return 1;
+}
+
+#define SERIALIZED (sizeof TOKEN + sizeof(State))
+
+static int serialize(const Instance *me, const void *saved, void *bytes, size_t size)
+{
+    if (saved == NULL || size < SERIALIZED) return refuse(me, "a serialized state needs %u bytes", (unsigned)SERIALIZED);
+    memcpy(bytes, TOKEN, sizeof TOKEN);
+    memcpy((char *)bytes + sizeof TOKEN, saved, sizeof(State));
+    return 1;
+}
+
+/* Whether a state from outside can be continued without harm. */
+static int is_sound(const State *s)
+{
+#if DELAY_CAPACITY
+    if (!(s->slot[DELAY_COUNT] >= 0.0 && s->slot[DELAY_COUNT] <= DELAY_CAPACITY)) return 0;
+#endif
+    return (int)s->mode >= MADE && (int)s->mode <= ENDED && (!s->exchange || EXCHANGE);
+}
+
+static int deserialize(const Instance *me, const void *bytes, size_t size, void **saved)
+{
+    if (size < SERIALIZED || memcmp(bytes, TOKEN, sizeof TOKEN) != 0)
+        return refuse(me, "these bytes are not a saved state of this model");
+    if (*saved == NULL) *saved = malloc(sizeof(State));
+    if (*saved == NULL) return refuse(me, "there is no memory for a saved state");
+    State *s = *saved;
+    memcpy(s, (const char *)bytes + sizeof TOKEN, sizeof(State));
+    if (!is_sound(s)) {
+        free(s);
+        *saved = NULL;
+        return refuse(me, "these bytes are not a saved state of this model");
+    }
+    return 1;
+}
+
+#endif

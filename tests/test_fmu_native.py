@@ -1,0 +1,362 @@
+"""The native FMU against the kernel, against the standard's rules, and under sanitizers."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import xml.etree.ElementTree as ET
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi2 import FMU2Slave
+from fmpy.fmi3 import FMU3Slave
+from fmpy.validation import validate_fmu
+
+from twin import kernel, native
+from twin.axis import EVERYTHING, Structure
+from twin.errors import BadInput
+from twin.model import Model, known_values
+from twin.native import export_native
+from twin.variables import parameters_text
+
+VALUES = {
+    "input_gain": 1.2,
+    "viscous_friction": 3.0,
+    "fade": 0.3,
+    "fade_time": 5.0,
+    "supply_sag": 0.002,
+    "saturation_limit": 70.0,
+    "dead_band_forward": 4.0,
+    "dead_band_reverse": 3.0,
+    "backlash_gap": 0.05,
+    "own_inertia": 0.01,
+    "coulomb_friction": 6.0,
+    "stribeck_friction": 4.0,
+    "friction_asymmetry": 0.7,
+    "friction_variation": 1.5,
+    "load_friction": 0.1,
+    "offset": 0.8,
+    "quadratic_drag": 0.05,
+    "gravity_gain": 9.0,
+    "gravity_angle": 0.2,
+    "spring_stiffness": 1.5,
+    "ripple_torque": 1.1,
+    "stop_upper": 6.0,
+    "stop_lower": -6.0,
+    "joint_frequency": 12.0,
+    "lag_time": 0.01,
+    "delay": 2.0**-8,
+    "load_added": 0.4,
+    "load_time": 9.0,
+    "eccentricity": 0.02,
+    "disturbance": 1.0,
+    "disturbance_frequency": 0.7,
+}
+#: With compliance there is no rigid contact, without it there is: both are needed to have every effect on.
+RIGID = EVERYTHING.without("joint_elasticity", "tooth_compliance")
+NAMES = ("position", "velocity", "position_measured", "gap", "motor_velocity", "lag", "heat")
+COLUMNS = (0, 1, None, 2, 3, 4, 5)
+#: Exact in binary, so that stamps, spans and edges of the delay carry no rounding for the motion to amplify.
+PERIOD = 2.0**-9
+
+
+def model_of(structure: Structure, **values: float) -> Model:
+    chosen = {p.name: VALUES.get(p.name, p.start) for p in structure.parameters}
+    return Model(structure, chosen | values, known={"payload": 0.004, "moment": 0.005})
+
+
+def command(count: int, held: int = 1) -> np.ndarray:
+    """Steps, sines and rests, so that the axis sticks, slips and crosses its gap."""
+    t = np.arange(count) * PERIOD
+    u = 60.0 * np.sin(1.3 * t) + 35.0 * np.sign(np.sin(7.1 * t)) * (np.sin(0.9 * t) > -0.3)
+    u[np.sin(0.5 * t) > 0.8] = 0.0
+    return np.repeat(u[::held], held)[:count]
+
+
+def by_kernel(model: Model, u: np.ndarray, position: float, velocity: float) -> np.ndarray:
+    """Position, velocity, reading and hidden states (N, 7) from a free run of the compiled kernel."""
+    count = len(u)
+    drive = kernel.Drive(
+        np.arange(count) * PERIOD, u, np.full(count, math.nan), False, np.array(known_values(model)),
+        np.zeros(4), model.longest_step,
+    )  # fmt: skip
+    p = kernel.vector(model.structure, dict(model.values))
+    x = kernel.start_state(position, velocity, 0.0)
+    read, states = kernel.predict(drive, p, x, kernel.free_gains(count), keep_states=True)
+    return np.column_stack([read if c is None else states[:, c] for c in COLUMNS])
+
+
+class Host:
+    """An importer: one instance of an unpacked FMU in FMPy, FMI 2 or 3."""
+
+    def __init__(self, fmu: Path, folder: Path, instance: str = "one") -> None:
+        fmpy.extract(str(fmu), str(folder))
+        description = fmpy.read_model_description(str(folder))
+        self.reference = {v.name: v.valueReference for v in description.modelVariables}
+        self.command = description.modelVariables[0].name
+        self.fmi = int(description.fmiVersion[0])
+        self.said: list[str] = []
+        made = {2: FMU2Slave, 3: FMU3Slave}[self.fmi]
+        self.slave = made(
+            guid=description.guid or description.instantiationToken, unzipDirectory=str(folder),
+            modelIdentifier=description.coSimulation.modelIdentifier, instanceName=instance,
+        )  # fmt: skip
+        if self.fmi == 2:
+            self.slave.instantiate(callbacks=self._callbacks())
+        else:
+            self.slave.instantiate(logMessage=self._log_message())
+
+    def _callbacks(self) -> fmpy.fmi2.fmi2CallbackFunctions:
+        def heard(_: object, __: bytes, ___: int, ____: bytes, message: bytes) -> None:
+            self.said.append(message.decode())
+
+        self.kept = fmpy.fmi2.fmi2CallbackFunctions()
+        self.kept.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(heard)
+        return self.kept
+
+    def _log_message(self) -> object:
+        return lambda _, __, ___, message: self.said.append(message.decode())
+
+    def start(self, time: float = 0.0, **values: float) -> None:
+        if self.fmi == 2:
+            self.slave.setupExperiment(startTime=time)
+            self.slave.enterInitializationMode()
+        else:
+            self.slave.enterInitializationMode(startTime=time)
+        for name, value in values.items():
+            self.set(name, value)
+        self.slave.exitInitializationMode()
+
+    def set(self, name: str, value: float) -> None:
+        setter = self.slave.setReal if self.fmi == 2 else self.slave.setFloat64
+        setter([self.reference[name]], [value])
+
+    def get(self, *names: str) -> list[float]:
+        getter = self.slave.getReal if self.fmi == 2 else self.slave.getFloat64
+        return list(getter([self.reference[n] for n in names]))
+
+    def step(self, time: float, length: float) -> None:
+        self.slave.doStep(currentCommunicationPoint=time, communicationStepSize=length)
+
+    def replay(self, u: np.ndarray, held: int = 1) -> np.ndarray:
+        """What every name reads at the communication points, (N, 7) at every `held`-th sample."""
+        rows = [self.get(*NAMES)]
+        for i in range(0, len(u) - 1, held):
+            self.set(self.command, u[i])
+            steps = min(held, len(u) - 1 - i)
+            self.step(i * PERIOD, steps * PERIOD)
+            rows.append(self.get(*NAMES))
+        return np.array(rows)
+
+
+FMI = (2, 3)
+
+
+@pytest.fixture(scope="module")
+def local(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[tuple[str, int], Path]]:
+    """FMUs for this machine only: the compilers for others have their own test."""
+    folder = tmp_path_factory.mktemp("fmus")
+    models = {"elastic": model_of(EVERYTHING), "rigid": model_of(RIGID)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(native, "_has_zig", lambda: False)
+        yield {
+            (name, fmi): export_native(model, folder / f"{name}{fmi}.fmu", fmi)
+            for name, model in models.items()
+            for fmi in FMI
+        }
+
+
+def differ(a: np.ndarray, b: np.ndarray) -> float:
+    """Largest difference, relative to the largest value of each column."""
+    return float(np.max(np.abs(a - b) / np.maximum(np.max(np.abs(b), axis=0), 1e-3)))
+
+
+@pytest.mark.parametrize("fmi", FMI)
+@pytest.mark.parametrize("name", ["elastic", "rigid"])
+def test_same_numbers_as_the_kernel(local: dict, tmp_path: Path, name: str, fmi: int) -> None:
+    u = command(10241)
+    expected = by_kernel(model_of(EVERYTHING if name == "elastic" else RIGID), u, 0.3, -1.0)
+    moving, gap = expected[:, 1], expected[:, 3]
+    assert (moving == 0.0).sum() > 100, "the run must hold stick"
+    if name == "rigid":
+        assert (np.abs(gap) < 0.0249).sum() > 100, "and free play"
+        assert (np.abs(gap) == 0.025).sum() > 100, "and contact"
+    host = Host(local[name, fmi], tmp_path / "x")
+    host.start(position_start=0.3, velocity_start=-1.0)
+    assert differ(host.replay(u), expected) < 1e-10
+
+
+@pytest.mark.parametrize("fmi", FMI)
+@pytest.mark.parametrize("held", [2, 5, 7])
+def test_any_pattern_of_steps(local: dict, tmp_path: Path, held: int, fmi: int) -> None:
+    u = command(10241, held)
+    model = model_of(RIGID)
+    expected = by_kernel(model, u, 0.3, -1.0)
+    host = Host(local["rigid", fmi], tmp_path / "x")
+    host.start(position_start=0.3, velocity_start=-1.0)
+    got = host.replay(u, held)
+    at = np.minimum(np.arange(len(got)) * held, len(u) - 1)
+    assert differ(got, expected[at]) < 1e-10
+
+
+@pytest.mark.parametrize("fmi", FMI)
+def test_parameters_set_by_the_importer(local: dict, tmp_path: Path, fmi: int) -> None:
+    changed = {
+        "coulomb_friction": 2.0,
+        "delay": 2.0**-6,
+        "backlash_gap": 0.2,
+        "eccentricity": 0.3,
+        "payload": 0.0,
+    }
+    u = command(2001)
+    model = model_of(RIGID, **{k: v for k, v in changed.items() if k != "payload"})
+    expected = by_kernel(Model(RIGID, model.values, known={"moment": 0.005}), u, 0.0, 0.0)
+    host = Host(local["rigid", fmi], tmp_path / "x")
+    host.start(**changed)
+    assert differ(host.replay(u), expected) < 1e-10
+
+
+@pytest.mark.parametrize("fmi", FMI)
+def test_reset_returns_to_the_start(local: dict, tmp_path: Path, fmi: int) -> None:
+    u = command(501)
+    host = Host(local["rigid", fmi], tmp_path / "x")
+    host.start()
+    first = host.replay(u)
+    host.slave.reset()
+    host.start()
+    assert np.array_equal(host.replay(u), first)
+
+
+@pytest.mark.parametrize("fmi", FMI)
+def test_valid_description_with_units_and_same_bytes(local: dict, tmp_path: Path, fmi: int) -> None:
+    for name in ("elastic", "rigid"):
+        assert validate_fmu(str(local[name, fmi])) == []
+    again = export_native(model_of(RIGID), tmp_path / "again.fmu", fmi)
+    with zipfile.ZipFile(again) as a, zipfile.ZipFile(local["rigid", fmi]) as b:
+        assert a.read("modelDescription.xml") == b.read("modelDescription.xml")
+        description = ET.fromstring(a.read("modelDescription.xml"))
+    other = export_native(model_of(RIGID, offset=0.1), tmp_path / "other.fmu", fmi)
+    token = "guid" if fmi == 2 else "instantiationToken"
+    with zipfile.ZipFile(other) as c:
+        assert ET.fromstring(c.read("modelDescription.xml")).get(token) == description.get(token)
+    units = {u.get("name") for u in description.iter("Unit")}
+    assert {"rad", "rad/s", "%", "rad/s^2/%", "kg*m^2", "Hz"} <= units
+
+
+@pytest.mark.parametrize("fmi", FMI)
+def test_refusals_are_sentences(local: dict, tmp_path: Path, fmi: int) -> None:
+    host = Host(local["rigid", fmi], tmp_path / "x")
+
+    def refused(what: str, call: object, *arguments: float) -> None:
+        host.said.clear()
+        with pytest.raises(fmpy.fmi1.FMICallException):
+            call(*arguments)
+        assert len(host.said) == 1 and what in host.said[0], host.said
+
+    refused("before the end of initialization", host.step, 0.0, 0.002)
+    host.start()
+    refused("finite", host.set, "duty", math.nan)
+    refused("finite", host.set, "offset", math.inf)
+    refused("outside [0, inf]", host.set, "coulomb_friction", -1.0)
+    refused("cannot be set", host.set, "heat", 1.0)
+    refused("before the simulation starts", host.set, "position_start", 1.0)
+    host.step(0.0, 0.002)
+    refused("goes back", host.step, 0.0, 0.002)
+    refused("jumps", host.step, 0.5, 0.002)
+    refused("positive", host.step, 0.002, -0.001)
+    refused("finite", host.step, 0.002, math.nan)
+    host.set("duty", 250.0)  # beyond the drive's range is no error: the drive saturates
+    host.step(0.002, 0.002)
+    assert host.get("time_since_start") == [pytest.approx(0.004)]
+
+
+@pytest.mark.parametrize("fmi", FMI)
+def test_saved_state_continues_identically(local: dict, tmp_path: Path, fmi: int) -> None:
+    u = command(3001)
+    host = Host(local["rigid", fmi], tmp_path / "x")
+    host.start()
+    whole = host.replay(u)
+    host.slave.reset()
+    host.start()
+    for i in range(1000):
+        host.set("duty", u[i])
+        host.step(i * PERIOD, PERIOD)
+    slave = host.slave
+    word = "state" if fmi == 2 else "State"
+    unpack = slave.deSerializeFMUstate if fmi == 2 else slave.deserializeFMUState
+    saved = getattr(slave, f"getFMU{word}")()
+    packed = getattr(slave, "serializeFMUstate" if fmi == 2 else "serializeFMUState")(saved)
+    host.set("coulomb_friction", 50.0)
+    host.set("duty", -80.0)
+    for i in range(1000, 1200):
+        host.step(i * PERIOD, PERIOD)
+    for packing in (False, True):
+        state = unpack(packed) if packing else saved
+        getattr(slave, f"setFMU{word}")(state)
+        rows = [host.get(*NAMES)]
+        for i in range(1000, 3000):
+            host.set("duty", u[i])
+            host.step(i * PERIOD, PERIOD)
+            rows.append(host.get(*NAMES))
+        assert np.array_equal(np.array(rows), whole[1000:])
+        getattr(slave, f"freeFMU{word}")(state)
+    damaged = bytearray(packed)
+    damaged[3] ^= 1
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        unpack(bytes(damaged))
+
+
+def pack(folder: Path, fmu: Path) -> None:
+    files = {f.relative_to(folder).as_posix(): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
+    native.write_archive(files, fmu)
+
+
+@pytest.mark.parametrize("fmi", FMI)
+def test_start_values_come_from_the_resources(local: dict, tmp_path: Path, fmi: int) -> None:
+    """What twin update relies on: binaries stay, the text of start values changes; odd paths do no harm."""
+    folder = tmp_path / "größe #1 (50%) + x"
+    fmpy.extract(str(local["rigid", fmi]), str(folder))
+    values = folder / "resources" / "parameters.txt"
+    values.write_text(parameters_text(model_of(RIGID, offset=-2.5)))
+    fmu = tmp_path / "changed.fmu"
+    pack(folder, fmu)
+    host = Host(fmu, tmp_path / "ä #2 (50%) + y")
+    assert host.get("offset") == [-2.5]
+    values.write_text("offset nan\n")
+    bad = tmp_path / "bad.fmu"
+    pack(folder, bad)
+    with pytest.raises(Exception, match="nstantiat"):
+        Host(bad, tmp_path / "z")
+
+
+@pytest.mark.parametrize("fmi", FMI)
+def test_two_exports_side_by_side(local: dict, tmp_path: Path, fmi: int) -> None:
+    other = export_native(model_of(RIGID, gravity_gain=0.0), tmp_path / "other.fmu", fmi)
+    u = command(1001)
+    hosts = [Host(local["rigid", fmi], tmp_path / "a", "a"), Host(other, tmp_path / "b", "b")]
+    for host in hosts:
+        host.start()
+    got = [np.array(host.replay(u)) for host in hosts]
+    assert differ(got[0], by_kernel(model_of(RIGID), u, 0.0, 0.0)) < 1e-10
+    assert differ(got[1], by_kernel(model_of(RIGID, gravity_gain=0.0), u, 0.0, 0.0)) < 1e-10
+    assert differ(got[0], got[1]) > 0.01
+
+
+def test_no_overwriting_and_no_half_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = model_of(Structure.of(("inertia",)))
+    out = tmp_path / "a.fmu"
+    out.write_text("mine")
+    with pytest.raises(BadInput, match="exists already"):
+        export_native(model, out)
+    with pytest.raises(BadInput, match="does not exist"):
+        export_native(model, tmp_path / "no" / "a.fmu")
+    monkeypatch.setattr(native, "_has_zig", lambda: False)
+    monkeypatch.setattr(shutil, "which", lambda *_: None)
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.raises(BadInput, match=r"pip install twin\[native\]"):
+        export_native(model, out, force=True)
+    assert out.read_text() == "mine" and list(tmp_path.iterdir()) == [out]

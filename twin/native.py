@@ -1,0 +1,312 @@
+"""The native FMU: C for the physics from the writer, our plumbing, the standard's headers; compiled, packed.
+
+Needs no Python in the host. With ziglang (the extra `native`) it is compiled for five platforms, otherwise by
+the local C compiler for this one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import html
+import importlib.util
+import math
+import os
+import platform
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from twin import description
+from twin.axis import KNOWN, STATES
+from twin.description import Identity
+from twin.errors import BadInput
+from twin.model import Model, dumps
+from twin.variables import ROUND, STATE_NAMES, Variable, delay_capacity, parameters_text, variables
+from twin.writers import c
+
+OPTIONS = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden")
+_NAMED_STATES = ("position", "velocity", "motor_velocity", "time")  # the plumbing starts these and shows them
+_SOURCES = {2: ("fmi2.c",), 3: ("fmi3.c",)}
+_HEADERS = {
+    2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
+    3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+}
+
+
+@dataclass(frozen=True)
+class Target:
+    """A platform: zig's name for it, FMI's names for its folder, and the ending of its libraries."""
+
+    zig: str
+    machine: str
+    system: str
+    folders: Mapping[int, str]
+    suffix: str
+
+
+#: glibc 2.17 is older than any distribution still in use, so the Linux binaries load on all of them.
+TARGETS: tuple[Target, ...] = (
+    Target("x86_64-linux-gnu.2.17", "x86_64", "Linux", {2: "linux64", 3: "x86_64-linux"}, ".so"),
+    Target("aarch64-linux-gnu.2.17", "aarch64", "Linux", {2: "aarch64-linux", 3: "aarch64-linux"}, ".so"),
+    Target("x86_64-windows-gnu", "x86_64", "Windows", {2: "win64", 3: "x86_64-windows"}, ".dll"),
+    Target("x86_64-macos", "x86_64", "Darwin", {2: "darwin64", 3: "x86_64-darwin"}, ".dylib"),
+    Target("aarch64-macos", "aarch64", "Darwin", {2: "darwin64", 3: "aarch64-darwin"}, ".dylib"),
+)
+
+
+# ---- C ----
+
+
+def _slots(model: Model) -> dict[str, int]:
+    """Where the value of each variable stands: what the stepper takes as an array stands together."""
+    shown = variables(model)
+    names = [model.input_name, *(p.name for p in model.structure.parameters), *KNOWN]
+    names += ["position_start", "velocity_start", *STATE_NAMES]
+    names += [v.name for v in shown if v.name not in set(names)]
+    return {name: i for i, name in enumerate(names)}
+
+
+def _c_number(value: float | None, absent: str = "0.0") -> str:
+    return absent if value is None or not math.isfinite(value) else repr(float(value))
+
+
+def _row(v: Variable, slot: int) -> str:
+    settable = {"input": "ANY_TIME", "parameter": "BEFORE_START" if v.variability == "fixed" else "ANY_TIME"}
+    # The bounds of the input are for the importer's information: a saturated command is no error.
+    low, high = (None, None) if v.causality == "input" else (v.min, v.max)
+    bounds = f"{_c_number(low, '-HUGE_VAL')}, {_c_number(high, 'HUGE_VAL')}"
+    return f'    {{"{v.name}", {slot}, {bounds}, {settable.get(v.causality, "NEVER")}}},'
+
+
+def header(model: Model, token: str) -> str:
+    """axis.h: sizes, the table of variables, the compiled-in start values, and the physics."""
+    shown, slots = variables(model), _slots(model)
+    constants: dict[str, object] = {
+        "TOKEN": f'"{token}"',
+        "VARIABLES": len(shown),
+        "SLOTS": len(slots),
+        "STATES": len(STATES),
+        "LONGEST_STEP": repr(model.longest_step),
+        "ROUND": repr(ROUND),
+        "EXCHANGE": 0,
+        "COMMAND": slots[model.input_name],
+        "FIRST_PARAMETER": 1,
+        "FIRST_KNOWN": slots[next(iter(KNOWN))],
+        "FIRST_STATE": slots[STATE_NAMES[0]],
+        "POSITION_START": slots["position_start"],
+        "VELOCITY_START": slots["velocity_start"],
+        "MEASURED": slots["position_measured"],
+        **{s.upper(): i for i, s in enumerate(STATES) if s in _NAMED_STATES},
+        "DELAY_CAPACITY": delay_capacity(model),
+    }
+    if delay_capacity(model):
+        constants |= {
+            "DELAY": slots["delay"],
+            "ACTING": slots["acting_command"],
+            "DELAY_COUNT": slots["delay_count"],
+            "DELAY_TIME": slots["delay_time[1]"],
+            "DELAY_VALUE": slots["delay_value[1]"],
+        }
+    starts = {v.name: v.start for v in shown} | {k: float(model.known.get(k, 0.0)) for k in KNOWN}
+    return "\n".join(
+        [
+            "/* Written for one model: its variables, its start values and its physics. */",
+            *(f"#define {name} {value}" for name, value in constants.items()),
+            "",
+            "static const Variable variables[VARIABLES] = {",
+            *(_row(v, slots[v.name]) for v in shown),
+            "};",
+            "",
+            "static const double compiled_in[SLOTS] = {",
+            *(f"    {_c_number(starts.get(name))}, /* {name} */" for name in slots),
+            "};",
+            "",
+            c.write(model.structure),
+        ]
+    )
+
+
+def identity(model: Model) -> Identity:
+    """Name and token: the same for models that differ in parameter values only, so that these can be set."""
+    shown = [replace(v, start=None) for v in variables(model)]
+    plumbing = [_plumbing(name) for name in ("instance.h", "fmi2.c", "fmi3.c")]
+    content = "\n".join([c.write(model.structure), repr(shown), *plumbing])
+    digest = hashlib.sha256(content.encode()).hexdigest()
+    token = "-".join((digest[:8], digest[8:12], digest[12:16], digest[16:20], digest[20:32]))
+    return Identity(f"axis_{digest[:8]}", f"{{{token}}}", "axis")
+
+
+def _plumbing(name: str) -> str:
+    spec = importlib.util.find_spec("fmu_src")
+    places = (spec.submodule_search_locations if spec else None) or []
+    folder = next(Path(place) / "native" for place in places if (Path(place) / "native").is_dir())
+    return (folder / name).read_text(encoding="utf-8")
+
+
+def _standard_header(name: str) -> str:
+    spec = importlib.util.find_spec("fmpy")
+    assert spec is not None and spec.origin is not None
+    return (Path(spec.origin).parent / "c-code" / name).read_text(encoding="utf-8")
+
+
+def sources(model: Model, fmi: int) -> dict[str, str]:
+    """Every C file of the FMU, by name."""
+    files = {name: _plumbing(name) for name in (*_SOURCES[fmi], "instance.h")}
+    files |= {name: _standard_header(name) for name in _HEADERS[fmi]}
+    return files | {"axis.h": header(model, identity(model).token)}
+
+
+# ---- compilers ----
+
+
+def _has_zig() -> bool:
+    return importlib.util.find_spec("ziglang") is not None
+
+
+def _machine() -> str:
+    name = platform.machine().lower()
+    return {"amd64": "x86_64", "arm64": "aarch64"}.get(name, name)
+
+
+def _here() -> Target:
+    for target in TARGETS:
+        if (target.machine, target.system) == (_machine(), platform.system()):
+            return target
+    raise BadInput(
+        f"no FMI name is known for {platform.system()} on {_machine()}: "
+        "install `pip install twin[native]` and export for the platform of the importer"
+    )
+
+
+def _compile(command: list[str], fmi: int, folder: Path, library: Path, options: tuple[str, ...]) -> bytes:
+    named = [*command, *OPTIONS, *options, "-shared", "-o", str(library), *_SOURCES[fmi], "-lm"]
+    done = subprocess.run(named, cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        lines = done.stderr.strip().splitlines() or ["no message"]
+        reason = next((line for line in lines if "error" in line), lines[0])
+        raise BadInput(f"the C compiler {command[0]} failed ({reason}): can it build a shared library?")
+    return library.read_bytes()
+
+
+def universal(thin: Mapping[str, bytes]) -> bytes:
+    """One macOS library from one for each machine (Mach-O "fat" file; its header is big-endian)."""
+    kinds = {"x86_64": (0x01000007, 3), "aarch64": (0x0100000C, 0)}
+    page = 14  # 16 KiB, what arm64 asks for
+    offset, entries, body = 1 << page, b"", b""
+    for machine, library in thin.items():
+        entries += struct.pack(">5I", *kinds[machine], offset, len(library), page)
+        padding = -len(library) % (1 << page)
+        body += library + bytes(padding)
+        offset += len(library) + padding
+    head = struct.pack(">2I", 0xCAFEBABE, len(thin)) + entries
+    return head.ljust(1 << page, b"\0") + body
+
+
+def _binaries(model: Model, fmi: int, folder: Path) -> dict[str, bytes]:
+    """Path in the archive -> library, for every platform that can be compiled for."""
+    name = identity(model).identifier
+    if not _has_zig():
+        compiler = os.environ.get("CC") or next(filter(shutil.which, ("cc", "gcc", "clang")), None)
+        if compiler is None:
+            raise BadInput(
+                "a native FMU needs a C compiler and none was found: "
+                "install one for all platforms with `pip install twin[native]`"
+            )
+        target = _here()
+        # Importers of FMI 2 look for any 64-bit Linux in linux64.
+        place = {("Linux", 2): "linux64"}.get((target.system, fmi), target.folders[fmi])
+        options = () if target.system == "Windows" else ("-fPIC",)
+        file = f"{name}{target.suffix}"
+        return {f"binaries/{place}/{file}": _compile(compiler.split(), fmi, folder, folder / file, options)}
+    found: dict[str, dict[str, bytes]] = {}
+    for target in TARGETS:
+        library = folder / f"{target.machine}{target.system}" / f"{name}{target.suffix}"
+        library.parent.mkdir()
+        options = ("-target", target.zig, *(() if target.system == "Windows" else ("-fPIC",)), "-s")
+        content = _compile([sys.executable, "-m", "ziglang", "cc"], fmi, folder, library, options)
+        path = f"binaries/{target.folders[fmi]}/{name}{target.suffix}"
+        found.setdefault(path, {})[target.machine] = content
+    return {
+        path: next(iter(thin.values())) if len(thin) == 1 else universal(thin) for path, thin in found.items()
+    }
+
+
+# ---- archive ----
+
+
+def _page(model: Model) -> str:
+    """documentation/index.html: what the axis contains and what its variables are."""
+    rows = "\n".join(
+        f"<tr><td>{html.escape(v.name)}</td><td>{html.escape(v.unit)}</td><td>{html.escape(v.description)}</td></tr>"
+        for v in variables(model)
+        if v.causality != "local"
+    )
+    effects = "\n".join(
+        f"<li>{html.escape(e.title)} ({html.escape(e.reference)})</li>" for e in model.structure.effects
+    )
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>Axis</title></head><body>\n'
+        f"<h1>Motor-driven axis</h1>\n<ul>\n{effects}\n</ul>\n"
+        f"<table>\n<tr><th>variable</th><th>unit</th><th>meaning</th></tr>\n{rows}\n</table>\n</body></html>\n"
+    )
+
+
+def write_archive(files: Mapping[str, bytes], out: Path) -> None:
+    """Write a zip archive, whole or not at all; the same files give the same bytes."""
+    with tempfile.NamedTemporaryFile(dir=out.parent, prefix=f".{out.name}.", delete=False) as half:
+        try:
+            with zipfile.ZipFile(half, "w", zipfile.ZIP_DEFLATED) as archive:
+                for name, content in files.items():
+                    entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+                    entry.compress_type = zipfile.ZIP_DEFLATED
+                    entry.external_attr = 0o100644 << 16
+                    archive.writestr(entry, content)
+            half.close()
+            Path(half.name).chmod(0o644)
+            Path(half.name).replace(out)
+        except BaseException:
+            half.close()
+            Path(half.name).unlink(missing_ok=True)
+            raise
+
+
+def check_output(out: Path, force: bool) -> None:
+    """Refuse to overwrite, and to write where there is no folder. Raises BadInput."""
+    if not out.parent.is_dir():
+        raise BadInput(f"{out}: the folder {out.parent} does not exist: make it first")
+    if out.is_dir():
+        raise BadInput(f"{out} is a folder: give the name of a file")
+    if out.exists() and not force:
+        raise BadInput(f"{out} exists already: choose another name or pass --force")
+
+
+def export_native(model: Model, out: Path, fmi: int = 2, force: bool = False) -> Path:
+    """Write the model as a native FMU of FMI 2 or 3 and return its path. Raises BadInput."""
+    if fmi not in (2, 3):
+        raise BadInput(f"FMI version {fmi} is not offered: use 2 or 3")
+    check_output(out, force)
+    who = identity(model)
+    c_files = sources(model, fmi)
+    with tempfile.TemporaryDirectory(prefix="twin-") as made:
+        folder = Path(made)
+        for name, content in c_files.items():
+            (folder / name).write_text(content, encoding="utf-8")
+        binaries = _binaries(model, fmi, folder)
+    if fmi == 2:
+        files = {"modelDescription.xml": description.fmi2(model, who, _SOURCES[fmi])}
+    else:
+        files = {"modelDescription.xml": description.fmi3(model, who)}
+        files["sources/buildDescription.xml"] = description.fmi3_build(who, _SOURCES[fmi])
+    files |= {f"sources/{name}": content.encode() for name, content in c_files.items()}
+    files["resources/model.toml"] = dumps(model).encode()
+    files["resources/parameters.txt"] = parameters_text(model).encode()
+    files["documentation/index.html"] = _page(model).encode()
+    files["documentation/licenses/LICENSE.txt"] = _plumbing("LICENSE.txt").encode()
+    write_archive(files | binaries, out)
+    return out
