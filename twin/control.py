@@ -1,0 +1,310 @@
+"""From a model to a feedback-linearising tracking controller.
+
+The inverse of the model's own laws turns the axis into a chain of integrators; python-control places that
+chain's poles at the asked bandwidth and designs the observer on the quantised encoder. The observer also
+carries the torque that the model lacks: that is the integral action, and since it is told the command that
+was really given, it does not wind up (Franklin, Powell, Workman, Digital Control of Dynamic Systems, 1998).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import control
+import numpy as np
+
+from twin import linear
+from twin.axis import KNOWN, Structure
+from twin.controller import Controller
+from twin.errors import BadInput
+from twin.model import Model, known_values
+
+FULL_DRIVE = {"%": 100.0}
+SPREAD_OF_NOISE = 0.03  # share of the limit that noise may take of the command
+SENSITIVE = 2.0  # largest sensitivity of a loop designed without an asked bandwidth
+
+
+def _cancelled(model: Model) -> Structure:
+    """What observer and inverse contain: everything but what depends on the moment or is a wall."""
+    left_out = [
+        e.id
+        for e in model.structure.effects
+        if (e.slot in ("load", "mass") and "time" in e.depends_on)
+        or e.station == "disturbance"
+        or e.id == "end_stop"
+    ]
+    return model.structure.without(*left_out).with_("constant_offset")
+
+
+def _limit(model: Model, asked: float | None) -> tuple[float, str]:
+    """Largest command, and what to say where it is only assumed."""
+    if asked is not None:
+        if not (math.isfinite(asked) and asked > 0.0):
+            raise BadInput(f"command limit is {asked:g}: give a number above 0, in {model.input_unit}")
+        return asked, ""
+    limit = min(FULL_DRIVE.get(model.input_unit, math.inf), model.values.get("saturation_limit", math.inf))
+    if math.isfinite(limit):
+        return limit, ""
+    seen = model.provenance.get("largest_command", "")
+    try:
+        limit = float(seen)
+    except ValueError:
+        limit = math.nan
+    if math.isfinite(limit) and limit > 0.0:
+        return limit, f"limit: taken as the largest recorded command, {limit:.4g} {model.input_unit}."
+    limit = 5.0 * _holding(model)
+    return limit, (
+        f"limit: the drive's largest command is not known; {limit:.4g} {model.input_unit} is assumed, five times "
+        "what dead-band, friction and load take."
+    )
+
+
+def _holding(model: Model) -> float:
+    """The command that moves the axis at one unit of speed against all that resists."""
+    structure = _cancelled(model)
+    law = linear.functions(structure)
+    p = [model.values.get(q.name, 0.0) for q in structure.parameters]
+    moment = known_values(model)[list(KNOWN).index("moment")]
+    worst = 0.0
+    for place in np.linspace(-math.pi, math.pi, 25):
+        for side in (1.0, -1.0):
+            pull = abs(law.load(place, 0.0, 0.0, moment, p) + law.drag(place, side, p))
+            worst = max(worst, pull + law.grip(place, side, side, pull, p))
+    dead = max(model.values.get("dead_band_forward", 0.0), model.values.get("dead_band_reverse", 0.0))
+    return max(worst / model.values["input_gain"] + dead, 1e-9)
+
+
+def _reading_variance(model: Model) -> float:
+    """Variance of one position reading."""
+    if model.reads_speed:
+        return 0.0
+    return model.reading_std**2 + model.resolution**2 / 12.0
+
+
+def _observer(model: Model, controller: Controller, rate: float) -> tuple[dict[str, float], float]:
+    """Gains of the steady Kalman filter on position, velocity and unmodelled torque; the speed's spread.
+
+    The filter is at least four times as fast as the loop and its integral action half as fast: the noise
+    densities are raised to what that takes where the model's own are smaller.
+    """
+    plant = replace(linear.linearise(controller), lag_time=0.0)
+    period = model.sample_time
+    move, push = plant.over(period)
+    a = np.block([[move, push[:, 1:]], [np.zeros((1, 2)), np.ones((1, 1))]])
+    travel = controller.reachable_speed / rate if math.isfinite(controller.reachable_speed) else 1.0
+    variance = max(_reading_variance(model), (1e-7 * travel) ** 2)
+    density = variance * period
+    torque = max(model.torque_density, density * (4.0 * rate) ** 4)
+    walk = torque * (0.5 * rate) ** 2
+    noise = np.zeros((3, 3))
+    noise[:2, :2] = torque * np.array([[period**3 / 3, period**2 / 2], [period**2 / 2, period]])
+    noise[2, 2] = walk * period
+    _, after, _ = control.dlqe(a, np.eye(3), np.array([[1.0, 0.0, 0.0]]), noise, np.array([[variance]]))
+    before = a @ after @ a.T + noise
+    gain = before[:, 0] / (before[0, 0] + variance)
+    names = ("observer_position", "observer_velocity", "observer_disturbance")
+    return dict(zip(names, map(float, gain), strict=True)), math.sqrt(float(after[1, 1]))
+
+
+def _gains(controller: Controller, rate: float) -> dict[str, float]:
+    """Poles of the chain of integrators, all at the asked rate, sampled with a hold."""
+    period, lag = controller.sample_time, controller.values.get("lag_time", 0.0)
+    chain = linear.Linear(0.0, 0.0, 1.0, lag, 1.0)
+    a, b = chain.over(period)
+    poles = np.exp(-rate * period * np.linspace(0.95, 1.05, chain.order))
+    k = np.asarray(control.place(a, b[:, :1], poles)).ravel()
+    return {
+        "position_gain": float(k[0]),
+        "velocity_gain": float(k[1]),
+        "acceleration_gain": float(k[2]) if chain.order == 3 else 0.0,
+    }
+
+
+def _reach(controller: Controller) -> tuple[float, float]:
+    """Speed and acceleration that full command holds against drag and dry friction, the weaker way."""
+    law, p, k = linear.laws(controller), controller.parameter_list, controller.known_list
+    limit, gain = controller.settings["limit"], controller.values["input_gain"]
+    damping = controller.values.get("viscous_friction", 0.0)
+    total = 1.0 + law.mass(0.0, k[0], p)
+
+    def spare(speed: float, side: float) -> float:
+        acts = side * law.drive(side * limit, side * damping * speed / gain, 0.0, p)
+        return float(
+            gain * acts
+            + side * law.drag(0.0, side * speed, p)
+            - law.grip(0.0, side * speed, side, 0.5 * gain * acts, p)
+        )
+
+    acceleration = min(spare(0.0, side) for side in (1.0, -1.0)) / total
+    speeds = []
+    for side in (1.0, -1.0):
+        low, high = 0.0, 1.0
+        while spare(high, side) > 0.0 and high < 1e6:
+            low, high = high, 2.0 * high
+        for _ in range(50):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if spare(middle, side) > 0.0 else (low, middle)
+        speeds.append(low if high < 1e6 else math.inf)
+    return min(speeds), acceleration
+
+
+def _own_rate(controller: Controller) -> float:
+    """How fast the axis moves by itself, rad/s: friction or the pull of its load."""
+    steep = [linear.linearise(controller, place) for place in np.linspace(-math.pi, math.pi, 13)]
+    return max(max(-s.damping, math.sqrt(abs(s.stiffness))) for s in steep)
+
+
+def _resonance(controller: Controller) -> float:
+    """Rate at which the link rings against the motor, rad/s; infinite where nothing is elastic."""
+    rings = [controller.values[n] for n in ("joint_frequency", "tooth_frequency") if n in controller.values]
+    return 2.0 * math.pi * min(rings, default=math.inf)
+
+
+def _tuned(model: Model, draft: Controller, bandwidth: float) -> Controller:
+    """The draft with gains, observer and smoothing for one bandwidth."""
+    rate = 2.0 * math.pi * bandwidth
+    limit = draft.settings["limit"]
+    gains, spread = _observer(model, draft, rate)
+    settings = {**draft.settings, **_gains(draft, rate), **gains}
+    settings["rest_speed"] = max(3.0 * spread, 1e-9)
+    tuned = replace(draft, bandwidth=bandwidth, settings=settings)
+    noise = linear.command_noise(tuned, _reading_variance(model), model.torque_density)
+    settings["blur"] = max(2.0 * noise, 0.002 * limit) if math.isfinite(noise) else 0.1 * limit
+    return replace(tuned, settings=settings, command_noise=noise)
+
+
+def _draft(model: Model, limit: float) -> Controller:
+    """Everything that does not depend on the bandwidth."""
+    structure = _cancelled(model)
+    values = {p.name: float(model.values.get(p.name, p.start)) for p in structure.parameters}
+    if "constant_offset" not in model.structure:
+        values["offset"] = 0.0
+    period = model.sample_time
+    delay = values.get("delay", 0.0)
+    whole = math.floor(delay / period + 1e-9)
+    settings = {
+        "sample_time": period,
+        "pieces": float(max(1, math.ceil(period / (0.002 / structure.substeps) - 1e-9))),
+        "whole": float(whole),
+        "part": max(delay - whole * period, 0.0),
+        "resolution": 0.0 if model.reads_speed else model.resolution,
+        "limit": limit,
+        "position_gain": 1.0,
+        "velocity_gain": 1.0,
+        "acceleration_gain": 0.0,
+        "observer_position": 0.0,
+        "observer_velocity": 0.0,
+        "observer_disturbance": 0.0,
+        "rest_speed": 1.0,
+        "blur": 1.0,
+        "braking": 0.7,
+        "gap_tolerance": 0.0,
+        "gap_speed": 0.0,
+    }
+    known = {k: v for k, v in model.known.items() if k in ("payload", "moment")}
+    draft = Controller(model.structure, structure, values, settings, known, model.axis_unit, model.input_unit)
+    speed, acceleration = _reach(draft)
+    if acceleration <= 0.0:
+        raise BadInput(
+            f"full command ({limit:g} {model.input_unit}) does not move this axis against its friction: "
+            "the model cannot be controlled; check input_gain and the dead-band"
+        )
+    return replace(draft, reachable_speed=speed, reachable_acceleration=acceleration)
+
+
+def _sensible(model: Model, draft: Controller) -> tuple[float, str]:
+    """A bandwidth in Hz and what sets it."""
+    values = draft.values
+    ceilings = {
+        "the sample time": 0.15 / model.sample_time,
+        "the delay": 0.5 / draft.latency,
+        "the lag": 2.0 / values["lag_time"] if "lag_time" in values else math.inf,
+        "the elastic joint": _resonance(draft) / 5.0,
+        "the drive's strength": 10.0
+        * max(_own_rate(draft), draft.reachable_acceleration / draft.reachable_speed),
+    }
+    why = min(ceilings, key=lambda name: ceilings[name])
+    bandwidth = ceilings[why] / (2.0 * math.pi)
+    for _ in range(40):
+        trial = _tuned(model, draft, bandwidth)
+        margin = linear.margins(trial)
+        if trial.command_noise > SPREAD_OF_NOISE * draft.settings["limit"]:
+            why = "the sensor's resolution and the torque noise"
+        elif not margin.sensitivity <= SENSITIVE:
+            why = "the loop's robustness"
+        else:
+            break
+        bandwidth *= 0.8
+    return bandwidth, why
+
+
+def _remarks(model: Model, controller: Controller) -> list[str]:
+    """What is not cancelled, in sentences."""
+    says = []
+    for effect in model.structure.effects:
+        if effect.id not in controller.structure:
+            if effect.id == "end_stop":
+                says.append("end_stop: a wall cannot be cancelled; references must stay inside the stops.")
+            else:
+                says.append(
+                    f"{effect.id}: its moment on the rig is not known, so it is not cancelled; "
+                    "the integral action takes what it can."
+                )
+    if "joint_elasticity" in model.structure:
+        says.append(
+            f"joint_elasticity: the joint's ringing at {_resonance(controller) / (2 * math.pi):.3g} Hz "
+            "is not damped actively; the loop stays below it."
+        )
+    if controller.values.get("backlash_gap", 0.0) > 0.0:
+        says.append(
+            f"backlash: in the gap of {controller.values['backlash_gap']:.3g} {model.axis_unit} "
+            "the link is free; nothing cancels that."
+        )
+    limit = controller.settings["limit"]
+    says.append(
+        f"saturation: the command ends at {limit:.4g} {model.input_unit}, which reaches "
+        f"{controller.reachable_speed:.3g} {model.axis_unit}/s and, from rest without load, "
+        f"{controller.reachable_acceleration:.3g} {model.axis_unit}/s^2."
+    )
+    if controller.settings["whole"] + controller.settings["part"] > 0.0:
+        says.append(
+            f"input_delay: bridged by prediction; a disturbance still acts for {1e3 * controller.latency:.3g} ms unanswered."
+        )
+    if model.reads_speed:
+        says.append(
+            "sensor: the rig logs only speed; the loop needs a position reading and assumes a perfect one."
+        )
+    return says
+
+
+def design(model: Model, bandwidth: float | None = None, limit: float | None = None) -> Controller:
+    """The controller for a model. `bandwidth` in Hz (None: chosen), `limit` the largest command.
+
+    Raises BadInput for a bandwidth that the sample time, the delay or the loop's stability rule out.
+    """
+    largest, assumed = _limit(model, limit)
+    draft = _draft(model, largest)
+    says = [assumed] if assumed else []
+    if bandwidth is None:
+        bandwidth, why = _sensible(model, draft)
+        says.append(f"bandwidth: {bandwidth:.3g} Hz, set by {why}.")
+    else:
+        most = 0.1 / model.sample_time
+        if not (math.isfinite(bandwidth) and bandwidth > 0.0):
+            raise BadInput(f"bandwidth is {bandwidth:g} Hz: give a number above 0")
+        if bandwidth > most:
+            raise BadInput(
+                f"bandwidth {bandwidth:g} Hz is beyond what a loop every {1e3 * model.sample_time:g} ms can do: "
+                f"ask for at most {most:.3g} Hz"
+            )
+    controller = _tuned(model, draft, bandwidth)
+    margins = linear.margins(controller)
+    if not math.isfinite(margins.sensitivity):
+        sensible, why = _sensible(model, draft)
+        raise BadInput(
+            f"bandwidth {bandwidth:g} Hz gives an unstable loop on this model: ask for {sensible:.3g} Hz or less ({why})"
+        )
+    cycle = linear.limit_cycle(controller, controller.values.get("backlash_gap", 0.0))
+    controller = replace(controller, margins=margins, limit_cycle=cycle)
+    return replace(controller, remarks=(*says, *_remarks(model, controller)))

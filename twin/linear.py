@@ -1,0 +1,241 @@
+"""The loop made linear: what python-control is asked about gains, margins, noise and limit cycles.
+
+States of the plant: position, velocity and, with a lag, the command behind it. Dry friction, dead-band and gap
+are left out here: the controller undoes the first two, the third is the describing function's business.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+
+import control
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from twin import sampled
+from twin.axis import KNOWN, Structure
+from twin.controller import Controller, LimitCycle, Margins
+
+FloatArray = NDArray[np.float64]
+
+
+@cache
+def functions(structure: Structure) -> SimpleNamespace:
+    """The text of a structure that has constant_offset, as Python functions."""
+    names: dict[str, Any] = {}
+    exec(compile(sampled.write(structure), "<controller>", "exec"), names)
+    return SimpleNamespace(**{name: f for name, f in names.items() if callable(f)})
+
+
+def laws(controller: Controller) -> SimpleNamespace:
+    """The controller's text as Python functions: `sample`, `step`, `drive`, `load`, `drag`, `grip`, ..."""
+    return functions(controller.structure)
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Accelerations per position, velocity, effective command, over the total inertia; lag_time 0: no lag."""
+
+    stiffness: float
+    damping: float
+    gain: float
+    lag_time: float
+    inertia: float
+
+    @property
+    def order(self) -> int:
+        return 3 if self.lag_time > 0.0 else 2
+
+    def continuous(self) -> tuple[FloatArray, FloatArray]:
+        """A (n, n) and B (n, 2): inputs are the effective command and a disturbing acceleration."""
+        a, b = np.zeros((self.order, self.order)), np.zeros((self.order, 2))
+        a[0, 1] = 1.0
+        a[1, :2] = self.stiffness, self.damping
+        b[1, 1] = 1.0
+        if self.lag_time > 0.0:
+            a[1, 2] = self.gain
+            a[2, 2] = -1.0 / self.lag_time
+            b[2, 0] = 1.0 / self.lag_time
+        else:
+            b[1, 0] = self.gain
+        return a, b
+
+    def over(self, span: float) -> tuple[FloatArray, FloatArray]:
+        """Transition over a span with both inputs held."""
+        a, b = self.continuous()
+        n = len(a)
+        block = np.zeros((n + 2, n + 2))
+        block[:n, :n], block[:n, n:] = a * span, b * span
+        whole = scipy.linalg.expm(block)
+        return whole[:n, :n], whole[:n, n:]
+
+
+def linearise(controller: Controller, position: float = 0.0) -> Linear:
+    """The axis about rest at a position."""
+    law, p = laws(controller), controller.parameter_list
+    moment, payload = controller.known_list[list(KNOWN).index("moment")], controller.known_list[0]
+    h = 1e-6
+    total = 1.0 + law.mass(0.0, payload, p)
+    stiffness = (
+        law.load(position + h, 0.0, 0.0, moment, p) - law.load(position - h, 0.0, 0.0, moment, p)
+    ) / (2 * h)
+    # One-sided where the law has a corner at rest: the mean of both sides.
+    damping = sum(
+        law.load(position, s * h, 0.0, moment, p) + law.drag(position, s * h, p)
+        if s > 0
+        else -law.load(position, s * h, 0.0, moment, p) - law.drag(position, s * h, p)
+        for s in (1, -1)
+    ) / (2 * h)
+    return Linear(
+        stiffness / total,
+        damping / total,
+        controller.values["input_gain"] / total,
+        controller.values.get("lag_time", 0.0),
+        total,
+    )
+
+
+def _chain(linear: Linear, controller: Controller) -> Callable[[FloatArray, float], FloatArray]:
+    """One sample of the linear controller: (state, reading) -> state. State: observer, disturbance, commands."""
+    g, n = controller.settings, linear.order
+    whole, part, period = int(g["whole"]), g["part"], g["sample_time"]
+    first, rest = linear.over(part), linear.over(period - part)
+
+    def carry(x: FloatArray, d: float, q: FloatArray, index: int) -> FloatArray:
+        x = first[0] @ x + first[1] @ np.array([q[index + 1] if part else 0.0, d])
+        return np.asarray(rest[0] @ x + rest[1] @ np.array([q[index], d]))
+
+    def sample(state: FloatArray, reading: float) -> FloatArray:
+        x, d, q = state[:n].copy(), float(state[n]), state[n + 1 :].copy()
+        error = reading - x[0]
+        x[0] += g["observer_position"] * error
+        x[1] += g["observer_velocity"] * error
+        d += g["observer_disturbance"] * error
+        x = carry(x, d, q, whole)
+        y = x.copy()
+        for j in range(whole):
+            y = carry(y, d, q, whole - 1 - j)
+        if part:
+            y = first[0] @ y + first[1] @ np.array([q[0], d])
+        wish = -g["position_gain"] * y[0] - g["velocity_gain"] * y[1]
+        free = linear.stiffness * y[0] + linear.damping * y[1] + d
+        if linear.lag_time > 0.0:
+            now = linear.gain * y[2] + free
+            jump = wish - (1.0 + g["acceleration_gain"]) * now
+            drift = linear.stiffness * y[1] + linear.damping * now
+            command = y[2] + (jump - linear.lag_time * drift) / linear.gain
+        else:
+            command = (wish - free) / linear.gain
+        return np.concatenate([x, [d, command], q[:-1]])
+
+    return sample
+
+
+def _matrices(
+    function: Callable[[FloatArray, float], FloatArray], count: int
+) -> tuple[FloatArray, FloatArray]:
+    """A and B of a linear map, by what it does to unit vectors."""
+    zero = np.zeros(count)
+    a = np.column_stack([function(unit, 0.0) for unit in np.eye(count)])
+    return a, function(zero, 1.0)[:, None]
+
+
+def controller_system(linear: Linear, controller: Controller) -> Any:
+    """Reading -> command issued, as a python-control system."""
+    count = linear.order + 3 + int(controller.settings["whole"])
+    a, b = _matrices(_chain(linear, controller), count)
+    c = np.zeros((1, count))
+    c[0, linear.order + 1] = 1.0
+    return control.ss(a, b, c, [[0.0]], controller.sample_time)
+
+
+def plant_system(linear: Linear, controller: Controller) -> Any:
+    """Command issued -> position, sampled, with the input delay."""
+    g, n = controller.settings, linear.order
+    whole, part = int(g["whole"]), g["part"]
+    first, rest = linear.over(part), linear.over(g["sample_time"] - part)
+
+    def move(state: FloatArray, command: float) -> FloatArray:
+        x, q = state[:n], np.concatenate([[command], state[n:]])
+        x = first[0] @ x + first[1] @ np.array([q[whole + 1], 0.0])
+        x = rest[0] @ x + rest[1] @ np.array([q[whole], 0.0])
+        return np.concatenate([x, q[:-1]])
+
+    a, b = _matrices(move, n + whole + 1)
+    c = np.zeros((1, n + whole + 1))
+    c[0, 0] = 1.0
+    return control.ss(a, b, c, [[0.0]], g["sample_time"])
+
+
+def loop(controller: Controller, true: Linear | None = None, position: float = 0.0) -> Any:
+    """The open loop, broken at the plant's input, negative feedback; `true`: another plant than the model's."""
+    linear = linearise(controller, position)
+    return -controller_system(linear, controller) * plant_system(true or linear, controller)
+
+
+def _response(open_loop: Any, controller: Controller) -> tuple[NDArray[np.complex128], FloatArray]:
+    """Frequency response on a fine grid from a hundredth of the bandwidth to the Nyquist frequency, rad/s."""
+    nyquist = math.pi / controller.sample_time
+    omega = np.geomspace(1e-2 * min(2.0 * math.pi * controller.bandwidth, nyquist), 0.99 * nyquist, 2000)
+    return np.asarray(open_loop(np.exp(1j * omega * controller.sample_time))), omega
+
+
+def stable(open_loop: Any) -> bool:
+    return bool(np.max(np.abs(control.feedback(open_loop, 1).poles())) < 1.0)
+
+
+def margins(controller: Controller, position: float = 0.0) -> Margins:
+    """Margins of the sampled loop (all NaN where it is unstable)."""
+    open_loop = loop(controller, position=position)
+    if not stable(open_loop):
+        return Margins(math.nan, math.nan, math.nan, math.nan)
+    response = control.frd(*_response(open_loop, controller))
+    gain, phase, modulus, _, crossover, _ = control.stability_margins(response)
+    radians = math.radians(phase)
+    return Margins(float(gain), radians, radians / float(crossover), 1.0 / float(modulus))
+
+
+def command_noise(controller: Controller, reading_variance: float, torque_density: float) -> float:
+    """Standard deviation of the command that noise alone causes in the closed loop."""
+    linear = linearise(controller)
+    link, ruler = plant_system(linear, controller), controller_system(linear, controller)
+    n, m = link.nstates, ruler.nstates
+    a = np.block([[link.A, link.B @ ruler.C], [ruler.B @ link.C, ruler.A]])
+    if np.max(np.abs(np.linalg.eigvals(a))) >= 1.0:
+        return math.inf
+    period = controller.sample_time
+    noise = np.zeros((n + m, n + m))
+    noise[0, 0] = torque_density * period**3 / 3.0
+    noise[0, 1] = noise[1, 0] = torque_density * period**2 / 2.0
+    noise[1, 1] = torque_density * period
+    noise[n:, n:] = reading_variance * (ruler.B @ ruler.B.T)
+    spread = control.dlyap(a, noise)
+    return math.sqrt(max(float((ruler.C @ spread[n:, n:] @ ruler.C.T)[0, 0]), 0.0))
+
+
+def limit_cycle(controller: Controller, gap: float) -> LimitCycle | None:
+    """What the describing function of the gap predicts: the link follows the motor with play.
+
+    The play's describing function (Slotine and Li, Applied Nonlinear Control, 1991) meets the sampled loop's
+    frequency response where an oscillation sustains itself; of several, the stable one has the larger amplitude.
+    """
+    if gap <= 0.0:
+        return None
+    open_loop = loop(controller)
+    response, omega = _response(open_loop, controller)
+    play = control.friction_backlash_nonlinearity(gap)
+    amplitudes = 0.5 * gap * np.geomspace(1.001, 200.0, 400)
+    found = control.describing_function_response(
+        control.frd(response, omega, smooth=True), play, amplitudes, omega, refine=False
+    )
+    cycles = [
+        LimitCycle(float(abs(play.describing_function(a)) * a), float(w) / (2 * math.pi))
+        for a, w in found.intersections
+    ]
+    return max(cycles, key=lambda c: c.amplitude, default=None)

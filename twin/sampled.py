@@ -1,0 +1,252 @@
+"""What the controller does once every sample, written in the stepper's small part of Python.
+
+The writers' machinery turns this text, together with the laws and the stepper of the same structure, into one
+plain Python module: the co-simulation runs it, numba compiles it for draws by the hundred, the controller FMU
+embeds it. `x` is the observer's state at this sample and `y` the state predicted to the moment at which the
+command computed now will act; `m` memory, `q` the commands still under way (newest first), `g` the design.
+
+The command computed from the reading at one sample leaves at the next, as it does on a rig and between the
+FMUs of any master; that sample and the input delay are bridged by running the model forward.
+"""
+
+# mypy: ignore-errors
+# ruff: noqa: SIM108, F821
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from math import floor, sqrt
+
+from twin.axis import EVERYTHING, STATES, Structure
+from twin.writers.python import module as axis_module
+from twin.writers.python import numbering, resolve
+
+#: Memory of the controller between samples.
+MEMORY = ("started", "nominal", "disturbance", "acceleration")
+
+#: The design's numbers, in the order of `g`. {x}, {u}: units of axis and input.
+SETTINGS: dict[str, tuple[str, str]] = {
+    "sample_time": ("s", "period of the loop"),
+    "pieces": ("1", "internal steps of the observer in one period"),
+    "whole": ("1", "whole periods in the input delay"),
+    "part": ("s", "what the input delay has beyond whole periods"),
+    "resolution": ("{x}", "one count of the sensor; 0: not quantised"),
+    "limit": ("{u}", "largest command, either way"),
+    "position_gain": ("1/s^2", "acceleration per position error"),
+    "velocity_gain": ("1/s", "acceleration per velocity error"),
+    "acceleration_gain": ("1", "acceleration per acceleration error, where a lag has to be led"),
+    "observer_position": ("1", "share of the innovation that corrects the position"),
+    "observer_velocity": ("1/s", "share of the innovation that corrects the velocity"),
+    "observer_disturbance": ("1/s^2", "share of the innovation that corrects the torque not modelled"),
+    "rest_speed": ("{x}/s", "speed below which the observer cannot tell motion from rest"),
+    "blur": ("{u}", "effective command within which the dead-band is passed in a straight line"),
+    "braking": ("1", "share of the available torque on which a large step counts for braking"),
+    "gap_tolerance": ("{x}", "error at rest for which the gap is not crossed; 0: always crossed"),
+    "gap_speed": ("1/s", "speed of the motor in the gap per remaining gap; 0: not slowed"),
+}
+
+
+def answer(target, emf, heat, limit, p):
+    """The smallest command at which the drive passes on `target`, or the one that comes closest to it."""
+    side = 1.0
+    if target < 0.0:
+        side = -1.0
+    wanted = side * target
+    low = 0.0
+    high = 0.0
+    peak = 0.0
+    most = 0.0
+    for i in range(16):
+        high = limit * (i + 1.0) / 16.0
+        got = side * drive(side * high, emf, heat, p)
+        if got > most:
+            most = got
+            peak = high
+        if got >= wanted:
+            break
+        low = high
+    if most < wanted:
+        low = peak
+    else:
+        for _ in range(30):
+            middle = 0.5 * (low + high)
+            if side * drive(side * middle, emf, heat, p) >= wanted:
+                high = middle
+            else:
+                low = middle
+        low = high
+    return side * low
+
+
+def invert(target, emf, heat, p, g):
+    """The command for an effective command; through zero a straight line, so that noise does not jump a dead-band."""
+    if target > g.blur or target < -g.blur:
+        command = answer(target, emf, heat, g.limit, p)
+    else:
+        upper = answer(g.blur, emf, heat, g.limit, p)
+        lower = answer(-g.blur, emf, heat, g.limit, p)
+        command = lower + (target + g.blur) * (upper - lower) / (2.0 * g.blur)
+    return command
+
+
+def clip(value, bound):
+    """The value, held within the bound either way."""
+    result = value
+    if result > bound:
+        result = bound
+    elif result < -bound:
+        result = -bound
+    return result
+
+
+def friction(place, speed, heading, through, p):
+    """Dry friction to be overcome; `through` is the transmitted torque without it, `heading` in [-1, 1]."""
+    side = 1.0
+    if heading < 0.0:
+        side = -1.0
+    held = 0.0
+    # Friction may depend on the torque that it is part of; the map contracts by half at least.
+    for _ in range(12):
+        held = heading * grip(place, speed, side, through + 0.5 * held, p)
+    return held
+
+
+def approach(error, available, g):
+    """Speed at which to close an error: in proportion while small, as braking allows when large."""
+    slope = g.position_gain / g.velocity_gain
+    size = error
+    if error < 0.0:
+        size = -error
+    edge = available / (slope * slope)
+    if size <= edge:
+        speed = slope * size
+    else:
+        speed = sqrt(2.0 * available * (size - 0.5 * edge))
+    if error < 0.0:
+        speed = -speed
+    return speed
+
+
+def carry(x, p, k, q, index, g):
+    """Move a state over one period in which the command under way at `index` takes over after the delay's part."""
+    count = int(g.pieces)
+    rest = g.sample_time - g.part
+    if g.part > 0.0:
+        for _ in range(count):
+            step(x, p, k, q[index + 1], g.part / g.pieces)
+    for _ in range(count):
+        step(x, p, k, q[index], rest / g.pieces)
+    return 0.0
+
+
+def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
+    """One sample: correct, predict, decide. Returns the command to be applied from the next sample on."""
+    reading = measured
+    if g.resolution > 0.0:
+        reading = g.resolution * floor(measured / g.resolution + 0.5)
+    if m.started == 0.0:
+        m.started = 1.0
+        m.nominal = p.offset
+        m.acceleration = acceleration
+        x.position = reading - sensor(reading, p)
+    error = reading - x.position - sensor(x.position, p)
+    x.position = x.position + g.observer_position * error
+    x.velocity = x.velocity + g.observer_velocity * error
+    x.motor_velocity = x.motor_velocity + g.observer_velocity * error
+    m.disturbance = m.disturbance + g.observer_disturbance * error
+    p.offset = m.nominal + m.disturbance
+
+    whole = int(g.whole)
+    carry(x, p, k, q, whole, g)
+    for s in range(len(x)):
+        y[s] = x[s]
+    for j in range(whole):
+        carry(y, p, k, q, whole - 1 - j, g)
+    if g.part > 0.0:
+        for _ in range(int(g.pieces)):
+            step(y, p, k, q[0], g.part / g.pieces)
+
+    ahead = g.sample_time * (1.0 + g.whole) + g.part
+    goal = reference + ahead * (speed + 0.5 * ahead * acceleration)
+    pace = speed + ahead * acceleration
+    jerk = (acceleration - m.acceleration) / g.sample_time
+    m.acceleration = acceleration
+
+    total = 1.0 + mass(y.time, k.payload, p)
+    pull = load(y.position, y.velocity, y.time, k.moment, p)
+    resist = drag(y.position, y.velocity, p)
+    emf = 0.0
+    if has.viscous_friction:
+        emf = p.viscous_friction * y.motor_velocity / p.input_gain
+
+    away = goal - y.position
+    side = 1.0
+    if away < 0.0:
+        side = -1.0
+    held = grip(y.position, 0.0, side, 0.0, p)
+    most = -side * p.input_gain * drive(-side * g.limit, 0.0, y.heat, p)
+    spare = g.braking * (most - side * pull + held) / total + side * acceleration
+    least = 0.05 * most / total
+    if spare < least:
+        spare = least
+    closing = approach(away, spare, g)
+    wish = acceleration + g.velocity_gain * (closing + pace - y.velocity)
+
+    heading = clip(2.0 * y.velocity / g.rest_speed, 2.0) + clip((pace + closing) / g.rest_speed, 1.0)
+    heading = clip(heading, 1.0)
+    through = 0.5 * (total * wish - resist) - pull
+    stiction = friction(y.position, y.velocity, heading, through, p)
+    torque = total * wish - pull - resist + stiction
+    if has.motor_lag:
+        # The acceleration that the lag's state gives now, and what it would take to change it in time.
+        current = (p.input_gain * y.lag + pull + resist - stiction) / total
+        jump = wish + g.acceleration_gain * (acceleration - current) - current + p.lag_time * jerk
+        moved = 0.25 * g.sample_time
+        later = load(y.position + moved * y.velocity, y.velocity + moved * current, y.time, k.moment, p)
+        later = later + drag(y.position + moved * y.velocity, y.velocity + moved * current, p)
+        torque = p.input_gain * y.lag + total * jump - p.lag_time * (later - pull - resist) / moved
+    command = clip(invert(torque / p.input_gain, emf, y.heat, p, g), g.limit)
+
+    for j in range(len(q) - 1):
+        q[len(q) - 1 - j] = q[len(q) - 2 - j]
+    q[0] = command
+    return command
+
+
+FUNCTIONS = (answer, invert, clip, friction, approach, carry, sample)
+
+
+class _Name(ast.NodeTransformer):
+    """m.name, g.name and y.name -> numbered places; the rest is left to the axis writer."""
+
+    tables = {"m": MEMORY, "g": tuple(SETTINGS), "y": tuple(STATES)}
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
+        holder = node.value.id if isinstance(node.value, ast.Name) else ""
+        if holder not in self.tables:
+            return node
+        return ast.Subscript(node.value, ast.Constant(self.tables[holder].index(node.attr)), node.ctx)
+
+
+def sampled_text() -> str:
+    text = "\n".join(textwrap.dedent(inspect.getsource(f)) for f in FUNCTIONS)
+    return ast.unparse(ast.fix_missing_locations(_Name().visit(ast.parse(text))))
+
+
+def module(structure: Structure, switched: bool = False) -> ast.Module:
+    """Laws, stepper and controller of a structure as one syntax tree."""
+    axis = axis_module(structure, switched)
+    return ast.Module([*axis.body, *resolve(sampled_text(), numbering(structure, switched)).body], [])
+
+
+def write(structure: Structure) -> str:
+    """Plain Python text, standard library only: `sample(...)`, `step(...)` and the laws."""
+    return "from math import cos, exp, floor, sin, sqrt, tanh\n\n\n" + ast.unparse(module(structure)) + "\n"
+
+
+def write_switched() -> str:
+    """The same with every effect behind a switch, for one compiled kernel."""
+    tree = module(EVERYTHING, True)
+    return "from math import cos, exp, floor, sin, sqrt, tanh\n\n\n" + ast.unparse(tree) + "\n"
