@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+import subprocess
 import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Iterator
@@ -360,3 +361,25 @@ def test_no_overwriting_and_no_half_file(tmp_path: Path, monkeypatch: pytest.Mon
     with pytest.raises(BadInput, match=r"pip install twin\[native\]"):
         export_native(model, out, force=True)
     assert out.read_text() == "mine" and list(tmp_path.iterdir()) == [out]
+
+
+def write_sources(model: Model, fmi: int, folder: Path) -> None:
+    for name, text in native.sources(model, fmi).items():
+        (folder / name).write_text(text)
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
+@pytest.mark.parametrize("fmi", FMI)
+@pytest.mark.parametrize("structure", [EVERYTHING, RIGID.without("input_delay")], ids=["all", "rigid"])
+def test_abuse_under_sanitizers(tmp_path: Path, structure: Structure, fmi: int) -> None:
+    """No undefined behaviour and no leak, whatever an importer calls."""
+    model = model_of(structure)
+    write_sources(model, fmi, tmp_path)
+    (tmp_path / "parameters.txt").write_text(parameters_text(model))
+    flags = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsanitize=address,undefined"]
+    flags += ["-fno-sanitize-recover=all", f"-DFMI={fmi}", "-I."]
+    abuse = Path(__file__).parent / "native" / "abuse.c"
+    subprocess.run(["gcc", *flags, "-o", "abuse", str(abuse), "-lm"], cwd=tmp_path, check=True)
+    done = subprocess.run(["./abuse", tmp_path.as_uri()], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
+    assert len(done.stdout.split()) == 2

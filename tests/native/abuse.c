@@ -1,0 +1,181 @@
+/* Calls an exported axis as no importer should, to be built with sanitizers together with its sources.
+ *
+ * abuse RESOURCES: prints the position after each phase; exits 1 where something was accepted that must not be.
+ */
+#if FMI == 2
+#include "fmi2.c"
+typedef fmi2Component Axis;
+#define BAD(call) expect((call) != fmi2OK, #call)
+#define GOOD(call) expect((call) == fmi2OK, #call)
+static void hear(void *e, fmi2String name, fmi2Status s, fmi2String category, fmi2String message, ...)
+{
+    (void)e, (void)name, (void)s, (void)category;
+    fprintf(stderr, "%s\n", message);
+}
+static const fmi2CallbackFunctions callbacks = {hear, calloc, free, NULL, NULL};
+#define NEW(token, resources) fmi2Instantiate("axis", fmi2CoSimulation, token, resources, &callbacks, 0, 1)
+#define BEGIN(a, t) (fmi2SetupExperiment(a, 0, 0, t, 0, 0) == fmi2OK ? fmi2EnterInitializationMode(a) : fmi2Error)
+#define READY fmi2ExitInitializationMode
+#define SET(a, r, v) fmi2SetReal(a, &(fmi2ValueReference){r}, 1, &(double){v})
+#define GET(a, r, v) fmi2GetReal(a, &(fmi2ValueReference){r}, 1, v)
+#define STEP(a, t, h) fmi2DoStep(a, t, h, 1)
+#define SAVE fmi2GetFMUstate
+#define RESTORE fmi2SetFMUstate
+#define FORGET fmi2FreeFMUstate
+#define SIZE fmi2SerializedFMUstateSize
+#define PACK(a, s, b, n) fmi2SerializeFMUstate(a, s, (fmi2Byte *)(b), n)
+#define UNPACK(a, b, n, s) fmi2DeSerializeFMUstate(a, (const fmi2Byte *)(b), n, s)
+#define RESET fmi2Reset
+#define END fmi2Terminate
+#define FREE fmi2FreeInstance
+#else
+#include "fmi3.c"
+typedef fmi3Instance Axis;
+#define BAD(call) expect((call) != fmi3OK, #call)
+#define GOOD(call) expect((call) == fmi3OK, #call)
+static void hear(void *e, fmi3Status s, fmi3String category, fmi3String message)
+{
+    (void)e, (void)s, (void)category;
+    fprintf(stderr, "%s\n", message);
+}
+#define NEW(token, resources)                                                                                          \
+    fmi3InstantiateCoSimulation("axis", token, resources, 0, 1, 0, 0, NULL, 0, NULL, hear, NULL)
+#define BEGIN(a, t) fmi3EnterInitializationMode(a, 0, 0, t, 0, 0)
+#define READY fmi3ExitInitializationMode
+#define SET(a, r, v) fmi3SetFloat64(a, &(fmi3ValueReference){r}, 1, &(double){v}, 1)
+#define GET(a, r, v) fmi3GetFloat64(a, &(fmi3ValueReference){r}, 1, v, 1)
+static fmi3Boolean event, finish, early;
+static double reached;
+#define STEP(a, t, h) fmi3DoStep(a, t, h, 1, &event, &finish, &early, &reached)
+#define SAVE fmi3GetFMUState
+#define RESTORE fmi3SetFMUState
+#define FORGET fmi3FreeFMUState
+#define SIZE fmi3SerializedFMUStateSize
+#define PACK fmi3SerializeFMUState
+#define UNPACK fmi3DeserializeFMUState
+#define RESET fmi3Reset
+#define END fmi3Terminate
+#define FREE fmi3FreeInstance
+#endif
+
+static int failures;
+
+static void expect(int held, const char *what)
+{
+    if (!held) {
+        printf("not so: %s\n", what);
+        failures = 1;
+    }
+}
+
+static double run(Axis a, double *t, double h, int steps)
+{
+    double position = 0.0;
+    for (int i = 0; i < steps; ++i) {
+        GOOD(SET(a, 0, 80.0 * sin(3.0 * *t)));
+        GOOD(STEP(a, *t, h));
+        *t += h;
+    }
+    GOOD(GET(a, 1, &position));
+    expect(isfinite(position), "the position is finite");
+    return position;
+}
+
+int main(int argc, char **argv)
+{
+    double value = 0.0, t = 0.0;
+    expect(NEW("{another}", NULL) == NULL, "a wrong token is refused");
+    expect(NEW(NULL, NULL) == NULL, "no token is refused");
+    char deep[9000];
+    memset(deep, 'a', sizeof deep - 1);
+    deep[sizeof deep - 1] = '\0';
+    expect(NEW(TOKEN, deep) == NULL, "a path too long is refused");
+    Axis a = NEW(TOKEN, "file:///no%2");
+    expect(a != NULL, "a lost resource folder is survived");
+    FREE(a);
+    a = NEW(TOKEN, argc > 1 ? argv[1] : NULL);
+    if (a == NULL) return 2;
+    BAD(STEP(a, 0.0, 0.01));
+    BAD(READY(a));
+    BAD(END(a));
+    BAD(BEGIN(a, NAN));
+    GOOD(BEGIN(a, 0.0));
+    for (unsigned r = 0; r < VARIABLES + 5; ++r) {
+        (void)GET(a, r, &value);
+        BAD(SET(a, r, NAN));
+        (void)SET(a, r, -1e300);
+        (void)SET(a, r, 1e300);
+    }
+    BAD(SET(a, 0xffffffffu, 0.0));
+    GOOD(RESET(a));
+    GOOD(BEGIN(a, 0.0));
+    GOOD(READY(a));
+    BAD(READY(a));
+    printf("%.9g\n", run(a, &t, 0.002, 1000));
+    /* Steps so short that commands on their way must be joined. */
+    printf("%.9g\n", run(a, &t, 1e-6, 3000));
+    BAD(STEP(a, t - 0.1, 0.002));
+    BAD(STEP(a, t + 0.1, 0.002));
+    BAD(STEP(a, t, -0.002));
+    BAD(STEP(a, t, INFINITY));
+    BAD(STEP(a, NAN, 0.002));
+    BAD(STEP(a, t, 1e300));
+    GOOD(STEP(a, t, 0.0));
+
+    void *saved = NULL, *other = NULL;
+    size_t size = 0;
+    double from = t;
+    GOOD(SAVE(a, &saved));
+    double first = run(a, &t, 0.002, 200);
+    GOOD(SIZE(a, saved, &size));
+    unsigned char *bytes = malloc(size);
+    if (bytes == NULL) return 2;
+    GOOD(PACK(a, saved, bytes, size));
+    BAD(PACK(a, saved, bytes, size - 1));
+    BAD(PACK(a, NULL, bytes, size));
+    BAD(UNPACK(a, bytes, 3, &other));
+    BAD(RESTORE(a, NULL));
+    GOOD(UNPACK(a, bytes, size, &other));
+    t = from;
+    GOOD(RESTORE(a, other));
+    expect(run(a, &t, 0.002, 200) == first, "a restored state continues identically");
+    FORGET(a, &other);
+    /* Any bytes behind a right token: continued without harm, or refused. */
+    unsigned random = 1;
+    for (int trial = 0; trial < 200; ++trial) {
+        for (size_t i = sizeof TOKEN; i < size; ++i) {
+            random = random * 1664525u + 1013904223u;
+            bytes[i] = (unsigned char)(random >> 24);
+        }
+        if (trial % 2) { /* a mode and a line that pass, so that what is left is put to use */
+            State kept;
+            memcpy(&kept, bytes + sizeof TOKEN, sizeof kept);
+            kept.mode = RUNNING;
+            kept.exchange = 0;
+            kept.now = 0.0;
+#if DELAY_CAPACITY
+            kept.slot[DELAY_COUNT] = DELAY_CAPACITY - trial % 3;
+#endif
+            memcpy(bytes + sizeof TOKEN, &kept, sizeof kept);
+        }
+        other = NULL;
+        (void)UNPACK(a, bytes, size, &other);
+        if (other != NULL && RESTORE(a, other) == 0) {
+            (void)STEP(a, 0.0, 0.002);
+            (void)GET(a, 3, &value);
+        }
+        FORGET(a, &other);
+    }
+    free(bytes);
+    GOOD(RESTORE(a, saved));
+    t = from;
+    expect(run(a, &t, 0.002, 200) == first, "a saved state outlives everything");
+    FORGET(a, &saved);
+    FORGET(a, &saved);
+    GOOD(END(a));
+    BAD(STEP(a, t, 0.002));
+    BAD(SET(a, 0, 1.0));
+    FREE(a);
+    FREE(NULL);
+    return failures;
+}
