@@ -155,6 +155,12 @@ def _start(case: Case, p: FloatArray, free: Sequence[str]) -> tuple[FloatArray, 
     return x, slope
 
 
+def density_of(case: Case, memory: float) -> float:
+    """The noise density, in units of the reading's variance, at which the filter forgets after `memory` seconds."""
+    step = float(np.median(np.diff(case.drive.time)))
+    return step / memory**2 if case.drive.speed else step / memory**4
+
+
 def gains_for(case: Case, damping: float, density: float) -> tuple[FloatArray, FloatArray]:
     """Kalman gains and innovation variances in units of the reading's; a density of zero is a free run.
 
@@ -291,7 +297,7 @@ def climb(
     density: float,
     free: tuple[str, ...],
     rounds: int = 30,
-    tolerance: float = 1e-3,
+    tolerance: float = 0.05,
 ) -> Point:
     """Maximise the likelihood over the free parameters at a fixed noise density (Levenberg-Marquardt).
 
@@ -316,7 +322,7 @@ def climb(
                 return best
         else:
             damping = max(damping * 10.0, 1e-4)
-            if damping > 1e8:
+            if damping > 1e6:
                 return best
     return replace(best, converged=False, says="the search ran out of rounds")
 
