@@ -16,79 +16,14 @@ import pytest
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
+from native_axis import NAMES, PERIOD, RIGID, by_kernel, command, model_of
 
-from twin import kernel, native
+from twin import native
 from twin.axis import EVERYTHING, Structure
 from twin.errors import BadInput
-from twin.model import Model, known_values
+from twin.model import Model
 from twin.native import export_native
 from twin.variables import parameters_text
-
-VALUES = {
-    "input_gain": 1.2,
-    "viscous_friction": 3.0,
-    "fade": 0.3,
-    "fade_time": 5.0,
-    "supply_sag": 0.002,
-    "saturation_limit": 70.0,
-    "dead_band_forward": 4.0,
-    "dead_band_reverse": 3.0,
-    "backlash_gap": 0.05,
-    "own_inertia": 0.01,
-    "coulomb_friction": 6.0,
-    "stribeck_friction": 4.0,
-    "friction_asymmetry": 0.7,
-    "friction_variation": 1.5,
-    "load_friction": 0.1,
-    "offset": 0.8,
-    "quadratic_drag": 0.05,
-    "gravity_gain": 9.0,
-    "gravity_angle": 0.2,
-    "spring_stiffness": 1.5,
-    "ripple_torque": 1.1,
-    "stop_upper": 6.0,
-    "stop_lower": -6.0,
-    "joint_frequency": 12.0,
-    "lag_time": 0.01,
-    "delay": 2.0**-8,
-    "load_added": 0.4,
-    "load_time": 9.0,
-    "eccentricity": 0.02,
-    "disturbance": 1.0,
-    "disturbance_frequency": 0.7,
-}
-#: With compliance there is no rigid contact, without it there is: both are needed to have every effect on.
-RIGID = EVERYTHING.without("joint_elasticity", "tooth_compliance")
-NAMES = ("position", "velocity", "position_measured", "gap", "motor_velocity", "lag", "heat")
-COLUMNS = (0, 1, None, 2, 3, 4, 5)
-#: Exact in binary, so that stamps, spans and edges of the delay carry no rounding for the motion to amplify.
-PERIOD = 2.0**-9
-
-
-def model_of(structure: Structure, **values: float) -> Model:
-    chosen = {p.name: VALUES.get(p.name, p.start) for p in structure.parameters}
-    return Model(structure, chosen | values, known={"payload": 0.004, "moment": 0.005})
-
-
-def command(count: int, held: int = 1) -> np.ndarray:
-    """Steps, sines and rests, so that the axis sticks, slips and crosses its gap."""
-    t = np.arange(count) * PERIOD
-    u = 60.0 * np.sin(1.3 * t) + 35.0 * np.sign(np.sin(7.1 * t)) * (np.sin(0.9 * t) > -0.3)
-    u[np.sin(0.5 * t) > 0.8] = 0.0
-    return np.repeat(u[::held], held)[:count]
-
-
-def by_kernel(model: Model, u: np.ndarray, position: float, velocity: float) -> np.ndarray:
-    """Position, velocity, reading and hidden states (N, 7) from a free run of the compiled kernel."""
-    count = len(u)
-    drive = kernel.Drive(
-        np.arange(count) * PERIOD, u, np.full(count, math.nan), False, np.array(known_values(model)),
-        np.zeros(4), model.longest_step,
-    )  # fmt: skip
-    p = kernel.vector(model.structure, dict(model.values))
-    x = kernel.start_state(position, velocity, 0.0)
-    read, states = kernel.predict(drive, p, x, kernel.free_gains(count), keep_states=True)
-    return np.column_stack([read if c is None else states[:, c] for c in COLUMNS])
 
 
 class Host:

@@ -190,7 +190,8 @@ def _compile(command: list[str], fmi: int, folder: Path, library: Path, options:
     if done.returncode != 0:
         lines = done.stderr.strip().splitlines() or ["no message"]
         reason = next((line for line in lines if "error" in line), lines[0])
-        raise BadInput(f"the C compiler {command[0]} failed ({reason}): can it build a shared library?")
+        compiler = "zig" if "ziglang" in command else command[0]
+        raise BadInput(f"the C compiler {compiler} failed ({reason}): can it build a shared library?")
     return library.read_bytes()
 
 
@@ -232,9 +233,7 @@ def _binaries(model: Model, fmi: int, folder: Path) -> dict[str, bytes]:
         content = _compile([sys.executable, "-m", "ziglang", "cc"], fmi, folder, library, options)
         path = f"binaries/{target.folders[fmi]}/{name}{target.suffix}"
         found.setdefault(path, {})[target.machine] = content
-    return {
-        path: next(iter(thin.values())) if len(thin) == 1 else universal(thin) for path, thin in found.items()
-    }
+    return {path: next(iter(thin.values())) if len(thin) == 1 else universal(thin) for path, thin in found.items()}
 
 
 # ---- archive ----
@@ -265,7 +264,8 @@ def write_archive(files: Mapping[str, bytes], out: Path) -> None:
                 for name, content in files.items():
                     entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
                     entry.compress_type = zipfile.ZIP_DEFLATED
-                    entry.external_attr = 0o100644 << 16
+                    library = name.startswith("binaries/")
+                    entry.external_attr = (0o100755 if library else 0o100644) << 16
                     archive.writestr(entry, content)
             half.close()
             Path(half.name).chmod(0o644)
