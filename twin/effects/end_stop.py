@@ -6,15 +6,14 @@ from typing import Any
 
 from twin.effects.effect import Effect, Screen
 from twin.quantities import Parameter
-from twin.words import maximum, where
+from twin.words import maximum
 
 
 def law(q: Any, p: Any) -> Any:
-    above = q.position - p.stop_upper
-    below = p.stop_lower - q.position
-    pushes = p.stop_stiffness * (maximum(below, 0.0) - maximum(above, 0.0))
-    touching = where(above > 0.0, 1.0, where(below > 0.0, 1.0, 0.0))
-    return pushes - touching * p.stop_damping * q.velocity
+    # The damping grows with the depth, so that the torque sets in smoothly; a stop pushes, never pulls.
+    below = maximum(p.stop_lower - q.position, 0.0) * maximum(1.0 - p.stop_damping * q.velocity, 0.0)
+    above = maximum(q.position - p.stop_upper, 0.0) * maximum(1.0 + p.stop_damping * q.velocity, 0.0)
+    return p.stop_stiffness * (below - above)
 
 
 EFFECT = Effect(
@@ -24,7 +23,7 @@ EFFECT = Effect(
     slot="load",
     parameters=(
         Parameter("stop_stiffness", "1/s^2", "contact stiffness over inertia", 0.0, 0.0, 1e5, 5e3),
-        Parameter("stop_damping", "1/s", "contact damping over inertia", None, 0.0, 600.0, 60.0),
+        Parameter("stop_damping", "s/{x}", "growth of the stiffness with approach speed", None, 0.0, 20.0, 0.5),
         Parameter("stop_upper", "{x}", "position of the upper stop", None, start=1e3),
         Parameter("stop_lower", "{x}", "position of the lower stop", None, start=-1e3),
     ),
@@ -35,5 +34,5 @@ EFFECT = Effect(
     reference="Hunt, Crossley, Coefficient of restitution interpreted as damping in vibroimpact, J. Appl. Mech. 42, 1975",
     confused_with={"spring": "rest in mid-travel: a stop acts only beyond its angle"},
     screen=Screen("stop_stiffness"),
-    substeps=4,
+    substeps=8,
 )
