@@ -5,20 +5,19 @@
 
 The stepper below is written once, in a small part of Python: scalars, `if`, `for ... in range`, `sqrt`
 and `exp`. `x.name` is a state, `p.name` a parameter, `k.name` a quantity known of the recording and
-`has.name` whether the structure contains an effect. The writers turn this text into Python that runs,
-into its exact derivative, and into C. It is not called from here.
+`has.name` whether the structure contains an effect, or any law in a slot. The writers turn this text into
+Python that runs, into its exact derivative, and into C. It is not called from here.
 
 Accelerations and inertias are relative to the inertia of the axis, so that torque and acceleration are the
 same number (paper, eq. 2).
 
 What is not smooth stands here in the open. Dry friction takes from the torque what it can (`net`), so that
-rest is rest. Backlash is two bodies: `advance` holds torques over a step and finds each stick, slip, contact
-and separation inside it from the exact parabola, so no event is stepped over (Brogliato, Nonsmooth Mechanics,
-2016; inelastic impact).
+rest is rest. Backlash is two bodies: `piece` ends at each stick, reversal and contact, so that no event is
+stepped over (Brogliato, Nonsmooth Mechanics, 2016; inelastic impact).
 """
 
 # mypy: ignore-errors
-# ruff: noqa: F821
+# ruff: noqa: SIM102, F821
 
 from __future__ import annotations
 
@@ -71,6 +70,11 @@ class Structure:
         return tuple(p for e in self.effects for p in e.parameters)
 
     @property
+    def slots(self) -> frozenset[str]:
+        """The slots in which at least one effect has a law."""
+        return frozenset(e.slot for e in self.effects)
+
+    @property
     def substeps(self) -> int:
         """Internal steps per 2 ms."""
         return max((e.substeps for e in self.effects), default=1)
@@ -116,30 +120,36 @@ def net(torque, forward, reverse, velocity):
     return left
 
 
-def tension(gap, speed, half, stiffness, damping):
-    """Torque through compliant teeth or an elastic joint; gap and speed are motor minus link. It never pulls."""
+def tension(gap, speed, side, half, stiffness, damping):
+    """Torque through compliant teeth or an elastic joint; gap and speed are motor minus link. A flank never pulls."""
     pull = 0.0
-    if gap > half:
+    if side == 1:
         pull = stiffness * (gap - half) + damping * speed
         if pull < 0.0:
             pull = 0.0
-    elif gap < -half:
+    elif side == -1:
         pull = stiffness * (gap + half) + damping * speed
         if pull > 0.0:
             pull = 0.0
+    elif side == 2:
+        pull = stiffness * gap + damping * speed
     return pull
 
 
-def crossing(distance, speed, acceleration, limit):
-    """Time until `distance` (> 0) is covered, or `limit` if it is not covered before."""
+def reaching(distance, speed, acceleration, limit):
+    """Time until a distance of either sign is covered, or `limit` if it is not covered before."""
     time = limit
+    if distance < 0.0:
+        distance = -distance
+        speed = -speed
+        acceleration = -acceleration
     if distance > 0.0:
+        under = speed * speed + 2.0 * acceleration * distance
         if speed > 0.0:
-            under = speed * speed + 2.0 * acceleration * distance
             if under > 0.0:
                 time = 2.0 * distance / (speed + sqrt(under))
         elif acceleration > 0.0:
-            time = (sqrt(speed * speed + 2.0 * acceleration * distance) - speed) / acceleration
+            time = (sqrt(under) - speed) / acceleration
     return time
 
 
@@ -151,89 +161,17 @@ def stopping(speed, acceleration, limit):
     return time
 
 
-def advance(x, push_m, push_l, grip_mf, grip_mr, grip_lf, grip_lr, mass_m, mass_l, half, h):
-    """Move motor and link by h under constant torques, from event to event.
+def piece(x, p, k, command, h):
+    """Move the axis by h, or to the next event if that comes first; return the time moved.
 
-    push: torque on each body; grip: size of its dry friction forwards and in reverse; mass: its inertia;
-    half: half the gap. At most two bodies, so a handful of events; the loop's bound is never met in motion.
+    Torques are those at the predicted middle of the piece, so it is of second order; for torques of position
+    alone it is the symplectic leapfrog. Under constant torques positions are parabolas, and the first stick,
+    reversal or contact on them ends the piece: the next one starts with torques as they are there.
     """
-    remaining = h
-    for _ in range(16):
-        if remaining <= 0.0:
-            break
-        left_m = net(push_m, grip_mf, grip_mr, x.motor_velocity)
-        left_l = net(push_l, grip_lf, grip_lr, x.velocity)
-        pull_m = left_m / mass_m
-        pull_l = left_l / mass_l
-        closing = x.motor_velocity - x.velocity
-        relative = pull_m - pull_l
-        meshed = 0
-        if x.gap >= half:
-            if closing > 0.0 or (closing == 0.0 and relative >= 0.0):
-                meshed = 1
-                x.gap = half
-        if meshed == 0 and x.gap <= -half:
-            if closing < 0.0 or (closing == 0.0 and relative <= 0.0):
-                meshed = 1
-                x.gap = -half
-        if meshed == 1:
-            total = mass_m + mass_l
-            if closing != 0.0:
-                x.velocity = (mass_m * x.motor_velocity + mass_l * x.velocity) / total
-            left = net(push_m + push_l, grip_mf + grip_lf, grip_mr + grip_lr, x.velocity)
-            pull = left / total
-            stop = stopping(x.velocity, pull, remaining)
-            if stop < remaining:
-                x.position = x.position + 0.5 * stop * x.velocity
-                x.velocity = 0.0
-                remaining = remaining - stop
-            else:
-                x.position = x.position + remaining * (x.velocity + 0.5 * remaining * pull)
-                x.velocity = x.velocity + remaining * pull
-                remaining = 0.0
-            x.motor_velocity = x.velocity
-        else:
-            stop_m = stopping(x.motor_velocity, pull_m, remaining)
-            stop_l = stopping(x.velocity, pull_l, remaining)
-            up = crossing(half - x.gap, closing, relative, remaining)
-            down = crossing(half + x.gap, -closing, -relative, remaining)
-            event = 0
-            span = remaining
-            if stop_m < span:
-                event = 1
-                span = stop_m
-            if stop_l < span:
-                event = 2
-                span = stop_l
-            if up < span:
-                event = 3
-                span = up
-            if down < span:
-                event = 4
-                span = down
-            x.position = x.position + span * (x.velocity + 0.5 * span * pull_l)
-            x.gap = x.gap + span * (closing + 0.5 * span * relative)
-            x.velocity = x.velocity + span * pull_l
-            x.motor_velocity = x.motor_velocity + span * pull_m
-            remaining = remaining - span
-            if event == 0:
-                remaining = 0.0
-            elif event == 1:
-                x.motor_velocity = 0.0
-            elif event == 2:
-                x.velocity = 0.0
-            elif event == 3:
-                x.gap = half
-            else:
-                x.gap = -half
-    return 0.0
-
-
-def step(x, p, k, command, h):
-    """Move the axis by h under a constant command: forces at the predicted middle of the step.
-
-    Of second order; for forces of position alone it is the symplectic leapfrog.
-    """
+    if has.load_change:
+        until = p.load_time - x.time
+        if until > 1e-9 and until < h:
+            h = until
     half = 0.0
     mass_m = 0.5
     share = 0.5
@@ -242,96 +180,213 @@ def step(x, p, k, command, h):
         mass_m = p.motor_share
         share = p.friction_share
     # Compliant teeth and an elastic joint are the same spring beyond the gap: the softer one is what is seen.
+    elastic = 0
+    rate = 0.0
     stiffness = 0.0
     damping = 0.0
     if has.tooth_compliance:
+        elastic = 1
         rate = 6.283185307179586 * p.tooth_frequency
         stiffness = rate * rate * mass_m * (1.0 - mass_m)
         damping = 2.0 * p.tooth_damping * rate * mass_m * (1.0 - mass_m)
     if has.joint_elasticity:
+        elastic = 1
         rate = 6.283185307179586 * p.joint_frequency
         stiffness = rate * rate * mass_m * (1.0 - mass_m)
         damping = 2.0 * p.joint_damping * rate * mass_m * (1.0 - mass_m)
-    added = mass(x.time + 0.5 * h, k.payload, p)
+    added = 0.0
+    if has.mass:
+        added = mass(x.time + 0.5 * h, k.payload, p)
     mass_l = 1.0 - mass_m + added
+    total = mass_m + mass_l
 
-    emf = 0.0
-    if has.viscous_friction:
-        emf = p.viscous_friction * x.motor_velocity / p.input_gain
-    acting = drive(command, emf, x.heat, p)
+    # The flank that touches: 1 the upper, -1 the lower, 2 both (there is no gap), 0 neither.
+    side = 0
+    closing = x.motor_velocity - x.velocity
+    if half <= 0.0:
+        side = 2
+    elif x.gap >= half:
+        if closing >= 0.0 or (elastic == 1 and x.gap > half):
+            side = 1
+    elif x.gap <= -half:
+        if closing <= 0.0 or (elastic == 1 and x.gap < -half):
+            side = -1
+    if side != 0 and elastic == 0:
+        if closing != 0.0:
+            x.velocity = (mass_m * x.motor_velocity + mass_l * x.velocity) / total
+            x.motor_velocity = x.velocity
+            closing = 0.0
+        if side == 2:
+            x.gap = 0.0
+        elif side == 1:
+            x.gap = half
+        else:
+            x.gap = -half
+
+    # Fine pieces while the light motor is alone in the gap, and while it rings against the link.
+    if side == 0 and h > 0.00025:
+        h = 0.00025
+    if elastic == 1 and side != 0 and rate * h > 0.08:
+        if closing > 0.002 or closing < -0.002:
+            h = 0.08 / rate
+    middle = 0.5 * h
+
+    warm = 0.0
     if has.thermal_fade:
         warm = (command / p.fade_reference) ** 2
-        x.heat = warm + (x.heat - warm) * exp(-h / p.fade_time)
-    mean = acting
+    moment = x.time
+    place = x.position
+    speed_l = x.velocity
+    speed_m = x.motor_velocity
+    heat = x.heat
+    twist = x.gap
+    gain_l = 0.0
+    gain_m = 0.0
+    acting = 0.0
+    decay = 0.0
+    together = 0
+    for stage in range(2):
+        if stage == 1:
+            moment = x.time + middle
+            place = x.position + middle * x.velocity
+            speed_l = x.velocity + middle * gain_l
+            if speed_l * x.velocity < 0.0:
+                speed_l = 0.0
+            speed_m = speed_l
+            if together == 0:
+                speed_m = x.motor_velocity + middle * gain_m
+                if speed_m * x.motor_velocity < 0.0:
+                    speed_m = 0.0
+            if elastic == 1:
+                twist = x.gap + middle * closing
+            if has.thermal_fade:
+                heat = x.heat + (warm - x.heat) * middle / p.fade_time
+
+        emf = 0.0
+        if has.supply_sag:
+            emf = p.viscous_friction * speed_m / p.input_gain
+        acting = drive(command, emf, heat, p)
+        mean = acting
+        if has.motor_lag:
+            # The mean over the first half predicts the middle; the mean over the whole moves the axis.
+            if stage == 0:
+                decay = exp(-middle / p.lag_time)
+                mean = acting + (x.lag - acting) * (1.0 - decay) * p.lag_time / middle
+            else:
+                decay = decay * decay
+                mean = acting + (x.lag - acting) * (1.0 - decay) * p.lag_time / h
+        torque = p.input_gain * mean
+        pull = 0.0
+        if has.load:
+            pull = load(place, speed_l, moment, k.moment, p)
+        forward = 0.0
+        reverse = 0.0
+        if has.grip:
+            through = 0.5 * (torque - pull)
+            forward = grip(place, speed_l, 1.0, through, p)
+            reverse = grip(place, speed_l, -1.0, through, p)
+            if forward < 0.0:
+                forward = 0.0
+            if reverse < 0.0:
+                reverse = 0.0
+        resist_l = drag(place, speed_l, p)
+        resist_m = resist_l
+        if speed_m != speed_l:
+            resist_m = drag(place, speed_m, p)
+
+        push_m = torque + share * resist_m
+        push_l = pull + (1.0 - share) * resist_l
+        if elastic == 1:
+            wound = tension(twist, speed_m - speed_l, side, half, stiffness, damping)
+            push_m = push_m - wound
+            push_l = push_l + wound
+        left_m = net(push_m, share * forward, share * reverse, x.motor_velocity)
+        left_l = net(push_l, (1.0 - share) * forward, (1.0 - share) * reverse, x.velocity)
+        together = 0
+        if elastic == 0:
+            if side == 2 or (side != 0 and side * (left_m * mass_l - left_l * mass_m) >= 0.0):
+                together = 1
+        if together == 1:
+            left = net(push_m + push_l, forward, reverse, x.velocity)
+            gain_l = left / total
+            gain_m = gain_l
+        else:
+            gain_m = left_m / mass_m
+            gain_l = left_l / mass_l
+
+    span = h
+    event = 0
+    stop = stopping(x.velocity, gain_l, h)
+    if stop < span:
+        event = 1
+        span = stop
+    if together == 0:
+        relative = gain_m - gain_l
+        stop = stopping(x.motor_velocity, gain_m, h)
+        if stop < span:
+            event = 2
+            span = stop
+        if side != 2:
+            meet = reaching(half - x.gap, closing, relative, h)
+            if meet < span:
+                event = 3
+                span = meet
+            meet = reaching(-half - x.gap, closing, relative, h)
+            if meet < span:
+                event = 4
+                span = meet
+    if has.end_stop:
+        meet = reaching(p.stop_upper - x.position, x.velocity, gain_l, h)
+        if meet < span:
+            event = 5
+            span = meet
+        meet = reaching(p.stop_lower - x.position, x.velocity, gain_l, h)
+        if meet < span:
+            event = 6
+            span = meet
+    if together == 0:
+        x.gap = x.gap + span * (closing + 0.5 * span * (gain_m - gain_l))
+    x.position = x.position + span * (x.velocity + 0.5 * span * gain_l)
+    x.velocity = x.velocity + span * gain_l
+    x.motor_velocity = x.motor_velocity + span * gain_m
+    if event == 1:
+        x.velocity = 0.0
+    elif event == 2:
+        x.motor_velocity = 0.0
+    elif event == 3:
+        x.gap = half
+    elif event == 4:
+        x.gap = -half
+    elif event == 5:
+        x.position = p.stop_upper
+    elif event == 6:
+        x.position = p.stop_lower
+    if together == 1:
+        x.motor_velocity = x.velocity
+
     if has.motor_lag:
-        behind = x.lag - acting
-        decay = exp(-h / p.lag_time)
-        mean = acting + behind * (1.0 - decay) * p.lag_time / h
-        x.lag = acting + behind * decay
-    torque = p.input_gain * mean
+        if span < h:
+            decay = exp(-span / p.lag_time)
+        x.lag = acting + (x.lag - acting) * decay
+    if has.thermal_fade:
+        x.heat = warm + (x.heat - warm) * exp(-span / p.fade_time)
+    x.time = x.time + span
+    return span
 
-    middle = 0.5 * h
-    pull = load(x.position, x.velocity, x.time, k.moment, p)
-    resist_l = drag(x.position, x.velocity, p)
-    resist_m = drag(x.position, x.motor_velocity, p)
-    through = 0.5 * (torque - pull)
-    forward = grip(x.position, x.velocity, 1.0, through, p)
-    reverse = grip(x.position, x.velocity, -1.0, through, p)
-    if forward < 0.0:
-        forward = 0.0
-    if reverse < 0.0:
-        reverse = 0.0
-    if stiffness == 0.0 and x.motor_velocity == x.velocity:
-        left = net(torque + pull + resist_l, forward, reverse, x.velocity)
-        gain_l = left / (mass_m + mass_l)
-        gain_m = gain_l
-    else:
-        left_m = net(torque + share * resist_m, share * forward, share * reverse, x.motor_velocity)
-        left_l = net(
-            pull + (1.0 - share) * resist_l, (1.0 - share) * forward, (1.0 - share) * reverse, x.velocity
-        )
-        gain_m = left_m / mass_m
-        gain_l = left_l / mass_l
-    if stiffness > 0.0:
-        wound = tension(x.gap, x.motor_velocity - x.velocity, half, stiffness, damping)
-        gain_m = gain_m - wound / mass_m
-        gain_l = gain_l + wound / mass_l
-    speed_l = x.velocity + middle * gain_l
-    speed_m = x.motor_velocity + middle * gain_m
-    if speed_l * x.velocity < 0.0:
-        speed_l = 0.0
-    if speed_m * x.motor_velocity < 0.0:
-        speed_m = 0.0
 
-    place = x.position + middle * x.velocity
-    pull = load(place, speed_l, x.time + middle, k.moment, p)
-    resist_l = drag(place, speed_l, p)
-    resist_m = drag(place, speed_m, p)
-    through = 0.5 * (torque - pull)
-    forward = grip(place, speed_l, 1.0, through, p)
-    reverse = grip(place, speed_l, -1.0, through, p)
-    if forward < 0.0:
-        forward = 0.0
-    if reverse < 0.0:
-        reverse = 0.0
-    push_m = torque + share * resist_m
-    push_l = pull + (1.0 - share) * resist_l
-    reach = half
-    if stiffness > 0.0:
-        wound = tension(
-            x.gap + middle * (x.motor_velocity - x.velocity), speed_m - speed_l, half, stiffness, damping
-        )
-        push_m = push_m - wound
-        push_l = push_l + wound
-        reach = 1e9
-    grip_mf = share * forward
-    grip_mr = share * reverse
-    grip_lf = forward - grip_mf
-    grip_lr = reverse - grip_mr
-    done = advance(x, push_m, push_l, grip_mf, grip_mr, grip_lf, grip_lr, mass_m, mass_l, reach, h)
-    x.time = x.time + h
-    return done
+def step(x, p, k, command, h):
+    """Move the axis by h under a constant command, from event to event.
+
+    Two bodies meet a handful of events in a step; the loop's bound is never met in motion.
+    """
+    remaining = h
+    for _ in range(64):
+        if remaining <= 0.0:
+            break
+        span = piece(x, p, k, command, remaining)
+        remaining = remaining - span
+    return remaining
 
 
 #: The stepper's functions, in the order in which they call one another.
-STEPPER = (net, tension, crossing, stopping, advance, step)
+STEPPER = (net, tension, reaching, stopping, piece, step)

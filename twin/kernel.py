@@ -24,13 +24,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.axis import EVERYTHING, KNOWN, STATES, Structure
+from twin.effects.effect import SLOTS
+from twin.lanes import WIDTH
 from twin.writers import drivers, tangent
 from twin.writers.python import module, numbering, resolve
 
 FloatArray = NDArray[np.float64]
 _LOOPS = (drivers.predict, drivers.predict_t, drivers.riccati)
 
-#: Index of every parameter in the kernel's vector; the switches of the effects follow them.
+#: Index of every parameter in the kernel's vector; the switches of the effects and of the slots follow them.
 INDEX: dict[str, int] = {p.name: i for i, p in enumerate(EVERYTHING.parameters)}
 
 
@@ -43,15 +45,10 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "twin"
 
 
-class _Rows(ast.NodeTransformer):
-    """row.function_name and index.name -> numbers."""
-
-    def __init__(self, rows: dict[str, int]) -> None:
-        self.rows = {key.replace(".", "_"): i for key, i in rows.items()}
+class _Index(ast.NodeTransformer):
+    """index.name -> the parameter's number."""
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
-        if isinstance(node.value, ast.Name) and node.value.id == "row":
-            return ast.Constant(self.rows[node.attr])
         if isinstance(node.value, ast.Name) and node.value.id == "index":
             return ast.Constant(INDEX[node.attr])
         return node
@@ -60,24 +57,22 @@ class _Rows(ast.NodeTransformer):
 def kernel_text() -> str:
     """The whole source that is compiled."""
     numbers = numbering(EVERYTHING, True)
-    derivative = tangent.write()
     loops = "\n".join(textwrap.dedent(inspect.getsource(f)) for f in _LOOPS)
-    tree = _Rows(derivative.rows).visit(ast.parse(loops))
     text = "\n\n\n".join(
         [
-            "import numpy as np\nfrom math import cos, exp, sin, sqrt, tanh\nfrom numba import njit",
+            "import numpy as np\nfrom math import cos, exp, sin, sqrt, tanh\nfrom numba import njit\n"
+            "from twin.lanes import put, row, zero",
             ast.unparse(module(EVERYTHING, True)),
-            derivative.text,
-            ast.unparse(resolve(ast.unparse(tree), numbers)),
+            tangent.write(),
+            ast.unparse(resolve(ast.unparse(_Index().visit(ast.parse(loops))), numbers)),
         ]
     )
-    decorated = text.replace("\ndef ", "\n@njit(cache=True, error_model='numpy', nogil=True)\ndef ")
-    return f"{decorated}\n\n\nROWS = {len(derivative.rows)}\n"
+    return text.replace("\ndef ", "\n@njit(cache=True, error_model='numpy', nogil=True)\ndef ") + "\n"
 
 
 @cache
 def compiled() -> ModuleType:
-    """The kernel's module; compiles on the first call on a machine (some twenty seconds)."""
+    """The kernel's module; compiles on the first call on a machine."""
     text = kernel_text()
     name = "twin_kernel_" + hashlib.sha256(text.encode()).hexdigest()[:16]
     folder = cache_folder()
@@ -104,7 +99,8 @@ def compiled() -> ModuleType:
 
 def vector(structure: Structure, values: dict[str, float]) -> FloatArray:
     """Parameters and switches in the kernel's order; parameters of absent effects at their start value."""
-    p = np.array([q.start for q in EVERYTHING.parameters] + [float(i in structure) for i in EVERYTHING.ids])
+    switches = [i in structure for i in EVERYTHING.ids] + [slot in structure.slots for slot in SLOTS]
+    p = np.array([q.start for q in EVERYTHING.parameters] + [float(on) for on in switches])
     for name, value in values.items():
         p[INDEX[name]] = value
     return p
@@ -158,21 +154,23 @@ def predict_with_slopes(
 
     `slope` (7, n) is the derivative of the initial state.
     """
-    n = len(names)
-    count = len(drive.time)
-    col = np.full(len(INDEX), -1, dtype=np.int64)
+    n, count = len(names), len(drive.time)
+    blocks = max(-(-n // WIDTH), 1)
+    seed = np.zeros((len(INDEX), blocks * WIDTH))
     for j, name in enumerate(names):
         if name in INDEX:
-            col[INDEX[name]] = j
-    predicted, slopes = np.empty(count), np.empty((count, n))
-    commands = np.zeros((count if drive.closed else 1, n))
-    module_ = compiled()
-    module_.predict_t(
-        drive.time, drive.command.copy() if drive.closed else drive.command, drive.measured, gains, drive.speed,
-        drive.closed, drive.law, x.copy(), slope.copy(), p, col, drive.known, n, drive.longest, predicted, slopes,
-        np.zeros((module_.ROWS, n)), commands,
-    )  # fmt: skip
-    return predicted, slopes
+            seed[INDEX[name], j] = 1.0
+    start = np.zeros((len(STATES), blocks * WIDTH))
+    start[:, :n] = slope
+    predicted, slopes = np.empty(count), np.empty((count, blocks, WIDTH))
+    for block in range(blocks):
+        columns = slice(block * WIDTH, (block + 1) * WIDTH)
+        compiled().predict_t(
+            drive.time, drive.command.copy() if drive.closed else drive.command, drive.measured, gains, drive.speed,
+            drive.closed, drive.law, x.copy(), start[:, columns].copy(), p, seed[:, columns].copy(), drive.known,
+            drive.longest, predicted, slopes, block, np.zeros((count if drive.closed else 1, WIDTH)),
+        )  # fmt: skip
+    return predicted, slopes.reshape(count, -1)[:, :n]
 
 
 def kalman(

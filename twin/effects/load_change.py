@@ -6,12 +6,12 @@ from typing import Any
 
 from twin.effects.effect import Effect, Screen
 from twin.quantities import Parameter
-from twin.words import maximum, minimum
+from twin.words import where
 
 
 def law(q: Any, p: Any) -> Any:
-    # A ramp over 2 ms, so that the moment itself can be estimated.
-    return p.load_added * minimum(maximum((q.time - p.load_time) / 0.002 + 0.5, 0.0), 1.0)
+    # The stepper ends a piece at this moment, so that it is met exactly and can be estimated.
+    return p.load_added * where(q.time > p.load_time, 1.0, 0.0)
 
 
 EFFECT = Effect(

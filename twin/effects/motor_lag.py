@@ -23,5 +23,6 @@ EFFECT = Effect(
         "joint_elasticity": "steps: look for ringing after the edge",
     },
     equation=r"T_e\,\dot u_e = u - u_e",
+    substeps=2,
     screen=Screen("lag_time"),
 )

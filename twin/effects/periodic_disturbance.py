@@ -30,6 +30,7 @@ EFFECT = Effect(
     sentence="Something outside pushes with {disturbance} at {disturbance_frequency}.",
     reference="Den Hartog, Mechanical Vibrations, 1956",
     confused_with={"torque_ripple": "run at two speeds: a ripple's frequency follows the speed"},
+    substeps=2,
     screen=Screen(
         "disturbance",
         ("disturbance_phase", 0.0, 1.5707963267948966),

@@ -32,6 +32,7 @@ EFFECT = Effect(
     confused_with={
         "encoder_eccentricity": "two constant speeds: a torque's trace falls with speed, a sensor's does not"
     },
+    substeps=2,
     screen=Screen(
         "ripple_torque",
         ("ripple_phase", 0.0, 1.5707963267948966),

@@ -80,17 +80,19 @@ def _block(body: list[ast.stmt], indent: str) -> list[str]:
 
 def _function(function: ast.FunctionDef) -> str:
     arguments = [a.arg for a in function.args.args]
+    counters = {n.target.id for n in ast.walk(function) if isinstance(n, ast.For) and isinstance(n.target, ast.Name)}
     local = {
         n.id: None
         for n in ast.walk(function)
-        if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store) and n.id not in arguments and n.id != "_"
+        if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store) and n.id not in {*arguments, *counters}
     }
     formals = ", ".join(_ARRAYS.get(a, f"double {a}") for a in arguments)
     lines = [f"static double {function.name}({formals})", "{"]
     if local:
         lines.append(f"    double {', '.join(sorted(local))};")
-    used = {n.id for node in function.body for n in ast.walk(node) if isinstance(n, ast.Name)}
-    lines += [f"    (void){a};" for a in arguments if a not in used]
+    names = [n for node in function.body for n in ast.walk(node) if isinstance(n, ast.Name)]
+    read = {n.id for n in names if isinstance(n.ctx, ast.Load)}
+    lines += [f"    (void){a};" for a in [*arguments, *sorted(local)] if a not in read]
     return "\n".join([*lines, *_block(function.body, "    "), "}"])
 
 
@@ -99,4 +101,6 @@ def write(structure: Structure) -> str:
     double h)`, `sensor(position, p)` and what they call. C99, needs only math.h, no state of its own.
     """
     functions = [f for f in module(structure).body if isinstance(f, ast.FunctionDef)]
+    called = {n.id for f in functions for n in ast.walk(f) if isinstance(n, ast.Name)} | {"step", "sensor"}
+    functions = [f for f in functions if f.name in called]
     return "#include <math.h>\n\n" + "\n\n".join(_function(f) for f in functions) + "\n"

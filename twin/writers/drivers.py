@@ -63,93 +63,74 @@ def predict(time, command, measured, gains, speed, closed, law, x, p, k, longest
 
 
 def predict_t(
-    time,
-    command,
-    measured,
-    gains,
-    speed,
-    closed,
-    law,
-    x,
-    xd,
-    p,
-    col,
-    k,
-    n,
-    longest,
-    predicted,
-    slopes,
-    w,
-    commands,
+    time, command, measured, gains, speed, closed, law, x, xd, p, pd, k, longest, predicted, slopes, first, commands
 ):
-    """As `predict`, with `slopes` (N, n): the derivative of what the sensor should read."""
+    """As `predict`, with the derivative of what the sensor should read in row `i * stride + first` of `slopes`.
+
+    `slopes` is (N, stride, 8), `commands` (N or 1, 8) holds the derivative of the loop's own command.
+    """
     count = len(time)
     edge = 0
     delay = 0.0
-    late = -1
+    d_delay = zero()
     if has.input_delay:
         delay = p.delay
-        late = col[index.delay]
+        d_delay = row(pd, index.delay)
     for i in range(count):
-        for j in range(n):
-            w[row.sensor_position, j] = xd[0, j]
-        offset = sensor_t(x.position, x, xd, p, col, k, w, n)
-        reading = x.velocity if speed else x.position + offset
+        offset, d_offset = sensor_t(x.position, row(xd, 0), x, xd, p, pd, k)
+        reading = x.position + offset
+        d_reading = row(xd, 0) + d_offset
+        if speed:
+            reading = x.velocity
+            d_reading = row(xd, 1)
         predicted[i] = reading
-        for j in range(n):
-            slopes[i, j] = xd[1, j] if speed else xd[0, j] + w[row.sensor_return, j]
+        put(slopes, i * slopes.shape[1] + first, d_reading)
         if closed:
             u = law[0] * command[i] - law[1] * reading - law[2] * x.velocity
-            for j in range(n):
-                commands[i, j] = -law[1] * slopes[i, j] - law[2] * xd[1, j]
-                if u > law[3] or u < -law[3]:
-                    commands[i, j] = 0.0
             command[i] = min(max(u, -law[3]), law[3])
+            put(commands, i, -law[1] * d_reading - law[2] * row(xd, 1))
+            if u > law[3] or u < -law[3]:
+                put(commands, i, zero())
         error = measured[i] - reading
         if error == error:
             x.position = x.position + gains[i, 0] * error
             x.velocity = x.velocity + gains[i, 1] * error
             x.motor_velocity = x.motor_velocity + gains[i, 1] * error
-            for j in range(n):
-                xd[0, j] -= gains[i, 0] * slopes[i, j]
-                xd[1, j] -= gains[i, 1] * slopes[i, j]
-                xd[3, j] -= gains[i, 1] * slopes[i, j]
+            put(xd, 0, row(xd, 0) - gains[i, 0] * d_reading)
+            put(xd, 1, row(xd, 1) - gains[i, 1] * d_reading)
+            put(xd, 3, row(xd, 3) - gains[i, 1] * d_reading)
         if i == count - 1:
             break
         now = time[i]
         end = time[i + 1]
-        slip = 0.0
+        d_now = zero()
         while now < end:
             while edge < i and time[edge + 1] + delay <= now:
                 edge += 1
             until = end
-            later = 0.0
+            d_until = zero()
             if edge < i and time[edge + 1] + delay < end:
                 until = time[edge + 1] + delay
-                later = 1.0
+                d_until = d_delay
             acting = command[edge]
-            held = edge
+            d_acting = zero()
+            if closed:
+                d_acting = row(commands, edge)
             if time[edge] + delay > now:
                 acting = 0.0
-                held = -1
+                d_acting = zero()
                 if time[edge] + delay < until:
                     until = time[edge] + delay
-                    later = 1.0
+                    d_until = d_delay
             pieces = int((until - now) / longest + 0.999999)
             if pieces < 1:
                 pieces = 1
+            span = (until - now) / pieces
+            d_span = (1.0 / pieces) * (d_until - d_now)
             for _ in range(pieces):
-                for j in range(n):
-                    w[row.step_h, j] = 0.0
-                    w[row.step_command, j] = 0.0
-                if late >= 0:
-                    w[row.step_h, late] = (later - slip) / pieces
-                if closed and held >= 0:
-                    for j in range(n):
-                        w[row.step_command, j] = commands[held, j]
-                step_t(acting, (until - now) / pieces, x, xd, p, col, k, w, n)
+                step_t(acting, d_acting, span, d_span, x, xd, p, pd, k)
             now = until
-            slip = later
+            d_now = d_until
     return 0.0
 
 

@@ -2,7 +2,7 @@
 
 Two forms of the same text. For one structure: only its effects, `has.x` folded away, parameters numbered in
 the structure's order. Switched: every effect behind a switch, so that one compiled kernel serves all
-structures; the switches follow the parameters in `p`.
+structures; the switches of the effects, then those of the slots, follow the parameters in `p`.
 """
 
 from __future__ import annotations
@@ -72,10 +72,11 @@ def _index(order: Mapping[str, Any] | tuple[str, ...]) -> dict[str, int]:
 def numbering(structure: Structure, switched: bool) -> Numbering:
     names = tuple(p.name for p in structure.parameters)
 
-    def switch(effect: str) -> ast.expr:
+    def switch(name: str) -> ast.expr:
         if not switched:
-            return ast.Constant(effect in structure)
-        return ast.parse(f"p[{len(names) + structure.ids.index(effect)}] != 0.0", mode="eval").body
+            return ast.Constant(name in structure or name in structure.slots)
+        place = len(names) + (*structure.ids, *SLOTS).index(name)
+        return ast.parse(f"p[{place}] != 0.0", mode="eval").body
 
     return Numbering(_index(names), _index(tuple(STATES)), _index(tuple(KNOWN)), switch)
 
@@ -110,7 +111,8 @@ def resolve(text: str, numbers: Numbering) -> ast.Module:
     for function in tree.body:
         if isinstance(function, ast.FunctionDef) and isinstance(function.body[0], ast.Expr):
             function.body = function.body[1:]
-    return ast.fix_missing_locations(_Resolve(numbers).visit(tree))
+    resolved: ast.Module = _Resolve(numbers).visit(tree)
+    return ast.fix_missing_locations(resolved)
 
 
 def laws_by_slot(structure: Structure) -> dict[str, list[str]]:

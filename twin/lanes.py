@@ -1,0 +1,118 @@
+"""Eight numbers that the processor handles at once: the type in which compiled derivatives are carried.
+
+A `Lanes` value is one derivative with respect to up to eight parameters. numba keeps it in registers as an LLVM
+vector, so that the text of a derivative reads like the text it was derived from, one line per line and without
+loops. Products with zero are taken to be zero, and multiplications and additions may be fused.
+"""
+
+# mypy: ignore-errors
+
+from __future__ import annotations
+
+import operator
+
+from llvmlite import ir
+from numba.core import types
+from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, models, register_model
+
+WIDTH = 8
+_VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
+_FLAGS = ("nnan", "ninf", "nsz", "contract", "reassoc")
+
+
+class LanesType(types.Type):
+    """numba's name for the type."""
+
+    def __init__(self) -> None:
+        super().__init__("Lanes")
+
+
+LANES = LanesType()
+
+
+@register_model(LanesType)
+class _Model(models.PrimitiveModel):
+    def __init__(self, manager, kind) -> None:
+        super().__init__(manager, kind, _VECTOR)
+
+
+def _spread(builder, number):
+    """The same number in every lane."""
+    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), number, ir.Constant(ir.IntType(32), 0))
+    mask = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
+    return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), mask)
+
+
+@infer_global(operator.add)
+@infer_global(operator.sub)
+class _Sum(ConcreteTemplate):
+    cases = [signature(LANES, LANES, LANES)]  # noqa: RUF012
+
+
+@infer_global(operator.mul)
+class _Product(ConcreteTemplate):
+    cases = [signature(LANES, types.float64, LANES)]  # noqa: RUF012
+
+
+@infer_global(operator.neg)
+class _Negative(ConcreteTemplate):
+    cases = [signature(LANES, LANES)]  # noqa: RUF012
+
+
+@lower_builtin(operator.add, LANES, LANES)
+def _add(context, builder, sig, args):
+    return builder.fadd(*args, flags=_FLAGS)
+
+
+@lower_builtin(operator.sub, LANES, LANES)
+def _subtract(context, builder, sig, args):
+    return builder.fsub(*args, flags=_FLAGS)
+
+
+@lower_builtin(operator.mul, types.float64, LANES)
+def _multiply(context, builder, sig, args):
+    return builder.fmul(_spread(builder, args[0]), args[1], flags=_FLAGS)
+
+
+@lower_builtin(operator.neg, LANES)
+def _negate(context, builder, sig, args):
+    return builder.fsub(ir.Constant(_VECTOR, [0.0] * WIDTH), args[0], flags=_FLAGS)
+
+
+@intrinsic
+def zero(typingctx):
+    """Eight zeros."""
+    return LANES(), lambda context, builder, sig, args: ir.Constant(_VECTOR, [0.0] * WIDTH)
+
+
+def _place(context, builder, kind, array, row):
+    """Pointer to eight numbers at `row` of a contiguous (…, 8) array."""
+    data = context.make_array(kind)(context, builder, array).data
+    first = builder.gep(data, [builder.mul(row, ir.Constant(row.type, WIDTH))])
+    return builder.bitcast(first, _VECTOR.as_pointer())
+
+
+@intrinsic
+def row(typingctx, array, index):
+    """Row of a contiguous (…, 8) array."""
+
+    def lower(context, builder, sig, args):
+        at = context.cast(builder, args[1], sig.args[1], types.intp)
+        return builder.load(_place(context, builder, sig.args[0], args[0], at), align=8)
+
+    return LANES(array, index), lower
+
+
+@intrinsic
+def put(typingctx, array, index, value):
+    """Write a row of a contiguous (…, 8) array."""
+
+    def lower(context, builder, sig, args):
+        at = context.cast(builder, args[1], sig.args[1], types.intp)
+        builder.store(args[2], _place(context, builder, sig.args[0], args[0], at), align=8)
+        return context.get_dummy_value()
+
+    return types.void(array, index, LANES), lower
+
+
