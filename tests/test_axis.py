@@ -1,0 +1,235 @@
+"""The stepper against closed forms, an independent integrator and itself at finer steps."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from axis_runs import run, sane, steps
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from twin import kernel
+from twin.axis import STATES, Structure
+from twin.effects.catalogue import BASE, EFFECTS
+
+COUNT = 2.0 * math.pi / 10000.0
+PLAIN = {"input_gain": 0.3, "viscous_friction": 2.0, "dead_band_forward": 4.0, "dead_band_reverse": 5.0}
+GAP = {"backlash_gap": 0.04, "motor_share": 0.25, "friction_share": 0.7}
+
+
+def clock(seconds: float, step: float = 0.002) -> np.ndarray:
+    return np.arange(round(seconds / step) + 1) * step
+
+
+def test_a_link_held_on_a_slope_stays_for_an_hour():
+    structure = Structure.of(("inertia", "viscous_friction", "gravity", "coulomb_friction"))
+    values = {"input_gain": 0.3, "viscous_friction": 2.0, "coulomb_friction": 3.0}
+    values |= {"gravity_gain": 4.0, "gravity_angle": 0.0}
+    start = kernel.start_state(0.8, 0.0, 0.0)  # 4 sin(0.8) = 2.87 < 3
+    position, states = run(structure, values, clock(3600.0, 0.02), np.zeros(180001), start, longest=0.02)
+    assert np.abs(position - 0.8).max() < 1e-9
+    start = kernel.start_state(0.86, 0.0, 0.0)  # 4 sin(0.86) = 3.03 > 3: it slides
+    position, states = run(structure, values, clock(5.0), np.zeros(2501), start)
+    assert position[-1] < 0.85 and states[-1, 1] == 0.0
+
+
+@pytest.mark.parametrize("friction, b, speed", [(1.0, 2.0, 5.0), (3.0, 0.6, 2.0), (0.7, 6.0, 9.0)])
+def test_coast_down_stops_when_the_closed_form_says(friction, b, speed):
+    structure = Structure.of(("inertia", "viscous_friction", "coulomb_friction"))
+    values = {"input_gain": 0.3, "viscous_friction": b, "coulomb_friction": friction}
+    time = clock(3.0)
+    position, states = run(structure, values, time, np.zeros(len(time)), kernel.start_state(0.0, speed, 0.0))
+    stop = math.log(1.0 + b * speed / friction) / b
+    moving = states[:, 1] > 0.0
+    assert time[moving][-1] < stop + 1e-6 and time[~moving][0] > stop - 1e-6
+    way = speed / b - friction / b**2 * math.log(1.0 + b * speed / friction)
+    assert position[-1] == pytest.approx(way, abs=COUNT / 10)
+    assert np.all(states[~moving, 1] == 0.0)
+
+
+@pytest.mark.parametrize("duty", [15.0, 30.0, 60.0])
+def test_dead_time_after_a_reversal_from_rest(duty):
+    structure = Structure.of(BASE)
+    values = PLAIN | GAP | {"viscous_friction": 0.0}
+    time = clock(0.3, 0.0001)
+    start = kernel.start_state(0.0, 0.0, -0.5 * GAP["backlash_gap"])  # the motor still touches the lower flank
+    _, states = run(structure, values, time, np.full(len(time), duty), start)
+    effective = PLAIN["input_gain"] * (duty - PLAIN["dead_band_forward"])
+    dead = math.sqrt(2.0 * GAP["motor_share"] * GAP["backlash_gap"] / effective)
+    moves = time[np.flatnonzero(states[:, 1] > 0.0)[0]]
+    assert dead <= moves < dead + 2e-4
+    # The impact keeps the momentum: motor_share of the motor's speed is left.
+    before = states[states[:, 1] == 0.0][-1, 3]
+    after = states[np.flatnonzero(states[:, 1] > 0.0)[0]]
+    assert after[1] == after[3] == pytest.approx(GAP["motor_share"] * before, rel=0.02)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6), st.booleans())
+def test_contact_only_pushes_and_impacts_only_lose(seed, stiff):
+    """Two bodies without friction: momentum is what the command gave, energy never more than it put in."""
+    rng = np.random.default_rng(seed)
+    structure = Structure.of((*BASE, "tooth_compliance") if stiff else BASE)
+    values = sane(structure, rng) | {"viscous_friction": 0.0, "dead_band_forward": 0.0, "dead_band_reverse": 0.0}
+    share, half = values["motor_share"], 0.5 * values["backlash_gap"]
+    time = clock(1.0)
+    command = steps(rng, len(time), 60)
+    start = kernel.start_state(0.0, rng.normal(), rng.uniform(-half, half))
+    start[3] = rng.normal()
+    _, x = run(structure, values, time, command, start)
+    gap, velocity, motor = x[:, 2], x[:, 1], x[:, 3]
+    momentum = share * motor + (1.0 - share) * velocity
+    given_to = momentum[0] + np.concatenate([[0.0], np.cumsum(values["input_gain"] * command[:-1] * np.diff(time))])
+    assert np.allclose(momentum, given_to, rtol=0.0, atol=1e-9)
+    work = np.diff(x[:, 0] + gap) * values["input_gain"] * command[:-1]
+    energy = 0.5 * share * motor**2 + 0.5 * (1.0 - share) * velocity**2
+    if not stiff:
+        assert np.abs(gap).max() <= half + 1e-12
+        assert np.all(np.diff(energy) <= work + 1e-9)
+        # What pushes the link comes through a flank: its speed changes only after one has been touched, and
+        # away from it.
+        pushed = np.diff(velocity)
+        upper = gap[1:] >= half - 1e-12
+        lower = gap[1:] <= -half + 1e-12
+        assert np.all(pushed[upper & (gap[:-1] >= half - 1e-12)] >= -1e-12)
+        assert np.all(pushed[lower & (gap[:-1] <= -half + 1e-12)] <= 1e-12)
+    else:
+        rate = 2.0 * math.pi * values["tooth_frequency"]
+        wound = np.maximum(np.abs(gap) - half, 0.0)
+        stored = energy + 0.5 * rate**2 * share * (1.0 - share) * wound**2
+        assert stored[-1] - stored[0] <= work.sum() + 0.01 * np.abs(work).sum()
+
+
+def reference_states(values: dict[str, float], duty: float, seconds: float) -> tuple[float, float, float, float]:
+    """Two bodies from rest on the lower flank to the end, by an adaptive integrator with an event at contact."""
+    c, b, f = values["input_gain"], values["viscous_friction"], values["coulomb_friction"]
+    share, part, gap = values["motor_share"], values["friction_share"], values["backlash_gap"]
+    torque = c * (duty - values["dead_band_forward"])
+
+    def apart(_, y):
+        return [y[1], (torque - part * (b * y[1] + f)) / share]
+
+    def contact(_, y):
+        return y[0] - gap
+
+    contact.terminal = True
+    precise = {"rtol": 1e-11, "atol": 1e-13}
+    first = solve_ivp(apart, (0.0, seconds), [0.0, 0.0], events=contact, **precise)
+    speed = share * first.y[1, -1]
+
+    def together(_, y):
+        return [y[1], torque - b * y[1] - f]
+
+    second = solve_ivp(together, (first.t[-1], seconds), [0.0, speed], **precise)
+    return second.y[0, -1], second.y[1, -1]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_gap_and_friction_against_an_adaptive_integrator(seed):
+    rng = np.random.default_rng(seed)
+    structure = Structure.of((*BASE, "coulomb_friction"))
+    values = sane(structure, rng)
+    time = clock(0.5)
+    start = kernel.start_state(0.0, 0.0, -0.5 * values["backlash_gap"])
+    position, states = run(structure, values, time, np.full(len(time), 55.0), start)
+    expected, speed = reference_states(values, 55.0, time[-1])
+    assert position[-1] == pytest.approx(expected, abs=COUNT / 10)
+    assert states[-1, 1] == pytest.approx(speed, abs=1e-4)
+
+
+@pytest.mark.parametrize("law", ["gravity", "spring", "torque_ripple", "quadratic_drag", "periodic_disturbance"])
+def test_smooth_torques_against_an_adaptive_integrator(law):
+    rng = np.random.default_rng(7)
+    structure = Structure.of(("inertia", "viscous_friction", law))
+    v = sane(structure, rng)
+    time = clock(1.0)
+    command = steps(rng, len(time), 125)
+
+    def torque(t, x, w):
+        return {
+            "gravity": lambda: -v["gravity_gain"] * math.sin(x - v["gravity_angle"]),
+            "spring": lambda: -v["spring_stiffness"] * (x - v["spring_rest"]),
+            "torque_ripple": lambda: v["ripple_torque"] * math.sin(v["ripple_order"] * x - v["ripple_phase"]),
+            "quadratic_drag": lambda: -v["quadratic_drag"] * w * abs(w),
+            "periodic_disturbance": lambda: v["disturbance"]
+            * math.sin(2.0 * math.pi * v["disturbance_frequency"] * t - v["disturbance_phase"]),
+        }[law]()
+
+    y = [0.3, 0.0]
+    for i in range(0, len(time) - 1, 125):
+
+        def motion(t, y, u=command[i]):
+            return [y[1], v["input_gain"] * u - v["viscous_friction"] * y[1] + torque(t, *y)]
+
+        y = solve_ivp(motion, (time[i], time[min(i + 125, len(time) - 1)]), y, rtol=1e-11, atol=1e-13).y[:, -1]
+    position, _ = run(structure, v, time, command, kernel.start_state(0.3, 0.0, 0.0))
+    assert position[-1] == pytest.approx(y[0], abs=COUNT / 10)
+
+
+def test_lag_is_exact():
+    structure = Structure.of(("inertia", "viscous_friction", "motor_lag"))
+    values = {"input_gain": 0.3, "viscous_friction": 0.0, "lag_time": 0.03}
+    time = clock(0.2, 0.01)
+    _, states = run(structure, values, time, np.full(len(time), 40.0), longest=0.02)
+    assert np.allclose(states[:, 4], 40.0 * -np.expm1(-time / 0.03), rtol=0.0, atol=1e-12)
+    speed = 0.3 * 40.0 * (time + 0.03 * np.expm1(-time / 0.03))
+    assert np.allclose(states[:, 1], speed, rtol=0.0, atol=1e-12)
+
+
+def test_delay_shifts_the_command_by_any_time():
+    rng = np.random.default_rng(3)
+    structure = Structure.of(BASE)
+    values = sane(structure, rng)
+    delay, time = 0.0073, clock(1.0)
+    command = steps(rng, len(time), 60)
+    late, _ = run(structure.with_("input_delay"), values | {"delay": delay}, time, command)
+    # The same command on stamps of its own, later by hand, read at the old stamps.
+    stamps = np.union1d(time, time + delay)
+    held = np.searchsorted(time, stamps - delay + 1e-12, side="right") - 1
+    shifted = np.where(held >= 0, command[np.maximum(held, 0)], 0.0)
+    by_hand, _ = run(structure, values, stamps, shifted)
+    assert np.allclose(late, by_hand[np.searchsorted(stamps, time)], rtol=0.0, atol=COUNT / 100)
+
+
+def test_stamps_left_out_change_nothing():
+    rng = np.random.default_rng(5)
+    structure = Structure.of((*BASE, "coulomb_friction", "gravity"))
+    values = sane(structure, rng)
+    time = clock(2.0)
+    command = steps(rng, len(time), 80)
+    whole, _ = run(structure, values, time, command)
+    keep = np.union1d(np.arange(0, len(time), 80), rng.choice(len(time), 300, replace=False))
+    some, _ = run(structure, values, time[keep], command[keep])
+    assert np.allclose(some, whole[keep], rtol=0.0, atol=COUNT / 50)
+
+
+#: Effects whose successive impacts multiply any difference; they are held to a percentile.
+RATTLING = {"tooth_compliance": 0.85, "joint_elasticity": 0.9, "end_stop": 0.97}
+
+
+@pytest.mark.parametrize("effect", [e for e in EFFECTS if e != "inertia"])
+def test_a_finer_step_moves_nothing_by_a_tenth_of_a_count(effect):
+    moved = []
+    time = clock(1.0)
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        friction = ("coulomb_friction",) if seed % 2 else ()
+        structure = Structure.of((*BASE, effect, *friction))
+        values = sane(structure, rng)
+        command = steps(rng, len(time), int(rng.integers(20, 200)))
+        coarse, _ = run(structure, values, time, command, longest=0.002001 / structure.substeps)
+        fine, _ = run(structure, values, time, command, longest=0.00005)
+        moved.append(np.abs(coarse - fine).max())
+    assert np.quantile(moved, RATTLING.get(effect, 1.0)) < COUNT / 10
+    assert np.median(moved) < COUNT / 20
+
+
+def test_structures_are_complete_and_ordered():
+    structure = Structure.of(("stribeck_friction", "dead_band", "inertia"))
+    assert structure.ids == ("inertia", "dead_band", "coulomb_friction", "stribeck_friction")
+    assert "coulomb_friction" in structure and structure.without("stribeck_friction").named == ("coulomb_friction",)
+    assert {p.name for p in structure.parameters} >= {"stribeck_velocity", "input_gain"}
+    assert len(STATES) == len(kernel.start_state(0.0, 0.0, 0.0))

@@ -1,0 +1,79 @@
+"""The rules of the house that a machine can check."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+#: A module of `twin` imports only names that stand before its own.
+ORDER = """errors quantities words effects axis equations model variables description writers lanes kernel
+    faults rig formats manifest recording archive running package native ssp likelihood startup identify locate
+    explain extend compare sampled controller linear control reference cosim report cli"""
+TOP = {
+    "pyproject.toml", "fmu_src", "twin", "tests", "models", "scripts", "README.md", "LICENSE", "CONTRIBUTING.md",
+    "docs", ".ci", ".gitignore",
+}  # fmt: skip
+
+
+def tracked() -> list[Path]:
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False)
+    if listed.returncode:
+        pytest.skip("not a git checkout")
+    return [ROOT / name for name in listed.stdout.decode().split("\0") if name and (ROOT / name).exists()]
+
+
+def imports(path: Path) -> set[str]:
+    """First names under `twin` that a file imports; "" for the root itself, "fmu_src" for that."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names = [f"{node.module}.{a.name}" for a in node.names]
+        for name in (n.split(".") for n in names):
+            if name[0] in ("twin", "fmu_src"):
+                found.add("fmu_src" if name[0] == "fmu_src" else name[1] if len(name) > 1 else "")
+    return found
+
+
+def modules() -> list[Path]:
+    return [p for p in sorted((ROOT / "twin").rglob("*.py")) if p.parent != ROOT / "twin" or p.name != "__init__.py"]
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_imports_run_one_way(path):
+    own = path.relative_to(ROOT / "twin").parts[0].removesuffix(".py")
+    order = ORDER.split()
+    assert own in order, f"give {own} its place in the order"
+    allowed = {*order[: order.index(own)], *([own] if path.parent.name == own else [])}
+    allowed |= {"fmu_src"} if own == "package" else set()
+    assert imports(path) <= allowed
+
+
+def test_nobody_imports_the_package_root_and_the_root_is_empty():
+    root = ast.parse((ROOT / "twin" / "__init__.py").read_text(encoding="utf-8"))
+    assert all(isinstance(node, ast.Expr | ast.Assign) for node in root.body)
+    for path in tracked():
+        if path.suffix == ".py":
+            assert "" not in imports(path), path
+    assert not imports(ROOT / "fmu_src" / "axis_fmu.py") - {"fmu_src"}
+
+
+def test_top_level_is_what_it_should_be():
+    assert {p.relative_to(ROOT).parts[0] for p in tracked()} <= TOP
+
+
+def test_no_addresses_of_registries_and_no_machine_paths():
+    hosts = ["py" + "pi.org", "python" + "hosted", "github" + "usercontent", "con" + "da.io", "npm" + "js"]
+    folders = [rf"/{name}/\w" for name in ("ho" + "me", "ro" + "ot", "wo" + "rk", "tm" + "p")]
+    pattern = re.compile("|".join([*map(re.escape, hosts), *folders]))
+    texts = {".py", ".md", ".toml", ".txt", ".c", ".h", ".xml", ".cfg", ".yml", ".sh"}
+    for path in tracked():
+        if path.suffix in texts or path.parent.name == ".ci":
+            found = pattern.search(path.read_text(encoding="utf-8"))
+            assert found is None, f"{path.relative_to(ROOT)}: {found and found.group()}"
