@@ -15,6 +15,7 @@
 #include <stdlib.h>
 #include <string.h>
 #ifdef _WIN32
+#define WIN32_LEAN_AND_MEAN
 #include <windows.h>
 #endif
 
@@ -81,7 +82,7 @@ static void refresh(State *s)
     s->stale = 0;
 }
 
-static int accept(const Instance *me, const Variable *v, double value)
+static int acceptable(const Instance *me, const Variable *v, double value)
 {
     if (!isfinite(value)) return refuse(me, "%s is not a finite number: give one", v->name);
     if (value < v->least || value > v->most)
@@ -98,7 +99,7 @@ static int set_value(Instance *me, size_t reference, double value)
     if (v->settable == BEFORE_START && s->mode != MADE && s->mode != INITIALIZING)
         return refuse(me, "%s can be set only before the simulation starts", v->name);
     if (s->mode == ENDED) return refuse(me, "%s cannot be set after the end: reset first", v->name);
-    if (!accept(me, v, value)) return 0;
+    if (!acceptable(me, v, value)) return 0;
     s->slot[v->slot] = value;
     s->stale = 1;
     return 1;
@@ -182,7 +183,7 @@ static int read_line(Instance *me, char *line)
         return refuse(me, "resources/parameters.txt: %.80s has no number as its value", line);
     for (size_t i = 0; i < VARIABLES; ++i) {
         if (variables[i].settable == NEVER || strcmp(variables[i].name, line) != 0) continue;
-        if (!accept(me, &variables[i], value)) return 0;
+        if (!acceptable(me, &variables[i], value)) return 0;
         me->start[variables[i].slot] = value;
         return 1;
     }
