@@ -16,25 +16,38 @@ import numpy as np
 
 from twin import linear
 from twin.axis import KNOWN, Structure
-from twin.controller import Controller
+from twin.controller import Controller, LimitCycle
 from twin.errors import BadInput
 from twin.model import Model, known_values
 
+FAST = 4.0  # observer over loop
+SLOW = 0.5  # integral action over loop
+TOLERATED = 1.2  # error left alone at rest over the amplitude of the hunting it would cause
 FULL_DRIVE = {"%": 100.0}
 SPREAD_OF_NOISE = 0.03  # share of the limit that noise may take of the command
 SENSITIVE = 2.0  # largest sensitivity of a loop designed without an asked bandwidth
 
 
 def _cancelled(model: Model) -> Structure:
-    """What observer and inverse contain: everything but what depends on the moment or is a wall."""
-    left_out = [
-        e.id
-        for e in model.structure.effects
-        if (e.slot in ("load", "mass") and "time" in e.depends_on)
-        or e.station == "disturbance"
-        or e.id == "end_stop"
-    ]
+    """What observer and inverse contain: all but what hangs on a moment, a wall, or rings beyond the loop."""
+    left_out = []
+    for effect in model.structure.effects:
+        moment = effect.slot in ("load", "mass") and "time" in effect.depends_on
+        rings = effect.station == "transmission" and "backlash" in effect.includes
+        if moment or rings or effect.station == "disturbance" or effect.id == "end_stop":
+            left_out.append(effect.id)
     return model.structure.without(*left_out).with_("constant_offset")
+
+
+def _joint(model: Model) -> linear.Joint | None:
+    """The slowest elastic element of the transmission."""
+    v = model.values
+    joints = [
+        linear.Joint(v[f"{kind}_frequency"], v[f"{kind}_damping"], v["motor_share"])
+        for kind in ("joint", "tooth")
+        if f"{kind}_frequency" in v
+    ]
+    return min(joints, key=lambda j: j.frequency, default=None)
 
 
 def _limit(model: Model, asked: float | None) -> tuple[float, str]:
@@ -95,8 +108,8 @@ def _observer(model: Model, controller: Controller, rate: float) -> tuple[dict[s
     travel = controller.reachable_speed / rate if math.isfinite(controller.reachable_speed) else 1.0
     variance = max(_reading_variance(model), (1e-7 * travel) ** 2)
     density = variance * period
-    torque = max(model.torque_density, density * (4.0 * rate) ** 4)
-    walk = torque * (0.5 * rate) ** 2
+    torque = max(model.torque_density, density * (FAST * rate) ** 4)
+    walk = torque * (SLOW * rate) ** 2
     noise = np.zeros((3, 3))
     noise[:2, :2] = torque * np.array([[period**3 / 3, period**2 / 2], [period**2 / 2, period]])
     noise[2, 2] = walk * period
@@ -155,12 +168,6 @@ def _own_rate(controller: Controller) -> float:
     return max(max(-s.damping, math.sqrt(abs(s.stiffness))) for s in steep)
 
 
-def _resonance(controller: Controller) -> float:
-    """Rate at which the link rings against the motor, rad/s; infinite where nothing is elastic."""
-    rings = [controller.values[n] for n in ("joint_frequency", "tooth_frequency") if n in controller.values]
-    return 2.0 * math.pi * min(rings, default=math.inf)
-
-
 def _tuned(model: Model, draft: Controller, bandwidth: float) -> Controller:
     """The draft with gains, observer and smoothing for one bandwidth."""
     rate = 2.0 * math.pi * bandwidth
@@ -199,8 +206,7 @@ def _draft(model: Model, limit: float) -> Controller:
         "rest_speed": 1.0,
         "blur": 1.0,
         "braking": 0.7,
-        "gap_tolerance": 0.0,
-        "gap_speed": 0.0,
+        "tolerance": 0.0,
     }
     known = {k: v for k, v in model.known.items() if k in ("payload", "moment")}
     draft = Controller(model.structure, structure, values, settings, known, model.axis_unit, model.input_unit)
@@ -215,12 +221,12 @@ def _draft(model: Model, limit: float) -> Controller:
 
 def _sensible(model: Model, draft: Controller) -> tuple[float, str]:
     """A bandwidth in Hz and what sets it."""
-    values = draft.values
+    values, joint = draft.values, _joint(model)
     ceilings = {
         "the sample time": 0.15 / model.sample_time,
         "the delay": 0.5 / draft.latency,
         "the lag": 2.0 / values["lag_time"] if "lag_time" in values else math.inf,
-        "the elastic joint": _resonance(draft) / 5.0,
+        "the elastic joint": 2.0 * math.pi * joint.frequency / 3.0 if joint else math.inf,
         "the drive's strength": 10.0
         * max(_own_rate(draft), draft.reachable_acceleration / draft.reachable_speed),
     }
@@ -228,11 +234,11 @@ def _sensible(model: Model, draft: Controller) -> tuple[float, str]:
     bandwidth = ceilings[why] / (2.0 * math.pi)
     for _ in range(40):
         trial = _tuned(model, draft, bandwidth)
-        margin = linear.margins(trial)
+        margin = linear.margins(trial, joint)
         if trial.command_noise > SPREAD_OF_NOISE * draft.settings["limit"]:
             why = "the sensor's resolution and the torque noise"
         elif not margin.sensitivity <= SENSITIVE:
-            why = "the loop's robustness"
+            why = "the elastic joint" if joint else "the loop's robustness"
         else:
             break
         bandwidth *= 0.8
@@ -243,7 +249,7 @@ def _remarks(model: Model, controller: Controller) -> list[str]:
     """What is not cancelled, in sentences."""
     says = []
     for effect in model.structure.effects:
-        if effect.id not in controller.structure:
+        if effect.id not in controller.structure and effect.station != "transmission":
             if effect.id == "end_stop":
                 says.append("end_stop: a wall cannot be cancelled; references must stay inside the stops.")
             else:
@@ -253,14 +259,20 @@ def _remarks(model: Model, controller: Controller) -> list[str]:
                 )
     if "joint_elasticity" in model.structure:
         says.append(
-            f"joint_elasticity: the joint's ringing at {_resonance(controller) / (2 * math.pi):.3g} Hz "
-            "is not damped actively; the loop stays below it."
+            f"joint_elasticity: the ringing at {model.values['joint_frequency']:.3g} Hz is not damped actively; "
+            "the loop stays below it."
         )
     if controller.values.get("backlash_gap", 0.0) > 0.0:
         says.append(
-            f"backlash: in the gap of {controller.values['backlash_gap']:.3g} {model.axis_unit} "
-            "the link is free; nothing cancels that."
+            f"backlash: in the gap of {controller.values['backlash_gap']:.3g} {model.axis_unit} the link is free; "
+            "nothing cancels that."
         )
+        if cycle := controller.limit_cycle:
+            says.append(
+                f"limit cycle: by its describing function the gap would let the loop hunt by {cycle.amplitude:.3g} "
+                f"{model.axis_unit} at {cycle.frequency:.3g} Hz; so at rest errors below "
+                f"{controller.settings['tolerance']:.3g} {model.axis_unit} are left alone."
+            )
     limit = controller.settings["limit"]
     says.append(
         f"saturation: the command ends at {limit:.4g} {model.input_unit}, which reaches "
@@ -299,12 +311,23 @@ def design(model: Model, bandwidth: float | None = None, limit: float | None = N
                 f"ask for at most {most:.3g} Hz"
             )
     controller = _tuned(model, draft, bandwidth)
-    margins = linear.margins(controller)
+    margins = linear.margins(controller, _joint(model))
     if not math.isfinite(margins.sensitivity):
         sensible, why = _sensible(model, draft)
         raise BadInput(
-            f"bandwidth {bandwidth:g} Hz gives an unstable loop on this model: ask for {sensible:.3g} Hz or less ({why})"
+            f"bandwidth {bandwidth:g} Hz gives an unstable loop on this model: ask for {sensible:.3g} Hz or less "
+            f"({why})"
         )
-    cycle = linear.limit_cycle(controller, controller.values.get("backlash_gap", 0.0))
-    controller = replace(controller, margins=margins, limit_cycle=cycle)
+    cycle = _hunting(controller)
+    settings = {**controller.settings, "tolerance": TOLERATED * cycle.amplitude if cycle else 0.0}
+    controller = replace(controller, settings=settings, margins=margins, limit_cycle=cycle)
     return replace(controller, remarks=(*says, *_remarks(model, controller)))
+
+
+def _hunting(controller: Controller) -> LimitCycle | None:
+    """The limit cycle that the gap would cause in the linear loop."""
+    values, law = controller.values, linear.laws(controller)
+    held = min(law.grip(0.0, 0.0, side, 0.0, controller.parameter_list) for side in (1.0, -1.0))
+    share = 1.0 - values.get("friction_share", 0.0)
+    gap = values.get("backlash_gap", 0.0)
+    return linear.limit_cycle(controller, gap, values.get("motor_share", 0.5), share * held)

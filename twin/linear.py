@@ -16,6 +16,7 @@ from typing import Any
 import control
 import numpy as np
 import scipy.linalg
+import scipy.optimize
 from numpy.typing import NDArray
 
 from twin import sampled
@@ -68,12 +69,15 @@ class Linear:
 
     def over(self, span: float) -> tuple[FloatArray, FloatArray]:
         """Transition over a span with both inputs held."""
-        a, b = self.continuous()
-        n = len(a)
-        block = np.zeros((n + 2, n + 2))
-        block[:n, :n], block[:n, n:] = a * span, b * span
-        whole = scipy.linalg.expm(block)
-        return whole[:n, :n], whole[:n, n:]
+        return _over(*self.continuous(), span)
+
+
+def _over(a: FloatArray, b: FloatArray, span: float) -> tuple[FloatArray, FloatArray]:
+    n, inputs = b.shape
+    block = np.zeros((n + inputs, n + inputs))
+    block[:n, :n], block[:n, n:] = a * span, b * span
+    whole = scipy.linalg.expm(block)
+    return whole[:n, :n], whole[:n, n:]
 
 
 def linearise(controller: Controller, position: float = 0.0) -> Linear:
@@ -155,34 +159,61 @@ def controller_system(linear: Linear, controller: Controller) -> Any:
     return control.ss(a, b, c, [[0.0]], controller.sample_time)
 
 
-def plant_system(linear: Linear, controller: Controller) -> Any:
-    """Command issued -> position, sampled, with the input delay."""
+@dataclass(frozen=True)
+class Joint:
+    """The ringing of link against motor, which the controller leaves alone but its margins do not."""
+
+    frequency: float  # Hz
+    damping: float  # ratio
+    motor_share: float  # of the inertia
+
+
+def plant_system(linear: Linear, controller: Controller, joint: Joint | None = None) -> Any:
+    """Command issued -> position of the link, sampled, with the input delay."""
     g, n = controller.settings, linear.order
     whole, part = int(g["whole"]), g["part"]
-    first, rest = linear.over(part), linear.over(g["sample_time"] - part)
+    a, b = linear.continuous()
+    c = np.eye(1, n)
+    if joint is not None:
+        # The centre of mass moves as the rigid axis does; the twist rides on it.
+        rate = 2.0 * math.pi * joint.frequency
+        twist = np.array([[0.0, 1.0], [-(rate**2), -2.0 * joint.damping * rate]])
+        a = scipy.linalg.block_diag(a, twist)
+        b = np.vstack([b, np.zeros((2, 2))])
+        if linear.lag_time > 0.0:
+            a[n + 1, 2] = linear.gain / joint.motor_share
+        else:
+            b[n + 1, 0] = linear.gain / joint.motor_share
+        c = np.concatenate([c, [[-joint.motor_share, 0.0]]], axis=1)
+    order = len(a)
+    first, rest = _over(a, b, part), _over(a, b, g["sample_time"] - part)
 
     def move(state: FloatArray, command: float) -> FloatArray:
-        x, q = state[:n], np.concatenate([[command], state[n:]])
+        x, q = state[:order], np.concatenate([[command], state[order:]])
         x = first[0] @ x + first[1] @ np.array([q[whole + 1], 0.0])
         x = rest[0] @ x + rest[1] @ np.array([q[whole], 0.0])
         return np.concatenate([x, q[:-1]])
 
-    a, b = _matrices(move, n + whole + 1)
-    c = np.zeros((1, n + whole + 1))
-    c[0, 0] = 1.0
-    return control.ss(a, b, c, [[0.0]], g["sample_time"])
+    sampled_a, sampled_b = _matrices(move, order + whole + 1)
+    seen = np.concatenate([c, np.zeros((1, whole + 1))], axis=1)
+    return control.ss(sampled_a, sampled_b, seen, [[0.0]], g["sample_time"])
 
 
-def loop(controller: Controller, true: Linear | None = None, position: float = 0.0) -> Any:
-    """The open loop, broken at the plant's input, negative feedback; `true`: another plant than the model's."""
-    linear = linearise(controller, position)
-    return -controller_system(linear, controller) * plant_system(true or linear, controller)
+def loop(controller: Controller, joint: Joint | None = None, true: Linear | None = None) -> Any:
+    """The open loop at rest, broken at the plant's input, with negative feedback.
+
+    `true` is the axis where it is not the one that the controller was designed for.
+    """
+    linear = linearise(controller)
+    return -controller_system(linear, controller) * plant_system(true or linear, controller, joint)
 
 
-def _response(open_loop: Any, controller: Controller) -> tuple[NDArray[np.complex128], FloatArray]:
-    """Frequency response on a fine grid from a hundredth of the bandwidth to the Nyquist frequency, rad/s."""
+def _response(
+    open_loop: Any, controller: Controller, count: int
+) -> tuple[NDArray[np.complex128], FloatArray]:
+    """Frequency response from a hundredth of the bandwidth to the Nyquist frequency, at rates in rad/s."""
     nyquist = math.pi / controller.sample_time
-    omega = np.geomspace(1e-2 * min(2.0 * math.pi * controller.bandwidth, nyquist), 0.99 * nyquist, 2000)
+    omega = np.geomspace(1e-2 * min(2.0 * math.pi * controller.bandwidth, nyquist), 0.99 * nyquist, count)
     return np.asarray(open_loop(np.exp(1j * omega * controller.sample_time))), omega
 
 
@@ -190,15 +221,16 @@ def stable(open_loop: Any) -> bool:
     return bool(np.max(np.abs(control.feedback(open_loop, 1).poles())) < 1.0)
 
 
-def margins(controller: Controller, position: float = 0.0) -> Margins:
+def margins(controller: Controller, joint: Joint | None = None) -> Margins:
     """Margins of the sampled loop (all NaN where it is unstable)."""
-    open_loop = loop(controller, position=position)
+    open_loop = loop(controller, joint)
     if not stable(open_loop):
         return Margins(math.nan, math.nan, math.nan, math.nan)
-    response = control.frd(*_response(open_loop, controller))
-    gain, phase, modulus, _, crossover, _ = control.stability_margins(response)
+    response, omega = _response(open_loop, controller, 2000)
+    gain, phase, _, _, crossover, _ = control.stability_margins(control.frd(response, omega))
     radians = math.radians(phase)
-    return Margins(float(gain), radians, radians / float(crossover), 1.0 / float(modulus))
+    sensitivity = float(np.max(1.0 / np.abs(1.0 + response)))
+    return Margins(float(gain), radians, radians / float(crossover), sensitivity)
 
 
 def command_noise(controller: Controller, reading_variance: float, torque_density: float) -> float:
@@ -215,27 +247,49 @@ def command_noise(controller: Controller, reading_variance: float, torque_densit
     noise[0, 1] = noise[1, 0] = torque_density * period**2 / 2.0
     noise[1, 1] = torque_density * period
     noise[n:, n:] = reading_variance * (ruler.B @ ruler.B.T)
-    spread = control.dlyap(a, noise)
+    spread = scipy.linalg.solve_discrete_lyapunov(a, noise, method="bilinear")
     return math.sqrt(max(float((ruler.C @ spread[n:, n:] @ ruler.C.T)[0, 0]), 0.0))
 
 
-def limit_cycle(controller: Controller, gap: float) -> LimitCycle | None:
-    """What the describing function of the gap predicts: the link follows the motor with play.
+class Gap(control.DescribingFunctionNonlinearity):  # type: ignore[misc]
+    """Describing function of a gap between two bodies, for the torque that crosses it.
 
-    The play's describing function (Slotine and Li, Applied Nonlinear Control, 1991) meets the sampled loop's
-    frequency response where an oscillation sustains itself; of several, the stable one has the larger amplitude.
+    After the torque A_T sin(phi) has turned, the motor (share s of the inertia) flies alone until it has
+    covered the gap g, at phi_1 with A (phi_1 - sin phi_1) = g, where A = A_T / (s w^2) is the amplitude of its
+    flight. It lands without rebound and hands over the momentum s w A (1 - cos phi_1); from there both move
+    as one. The fundamental of torque and impulse over A_T is a function of A / g alone.
+    """
+
+    def __init__(self, gap: float) -> None:
+        self.gap = gap
+
+    def describing_function(self, A: float) -> complex:
+        if A * math.pi <= self.gap:
+            return 0.0
+        f = scipy.optimize.brentq(lambda x: A * (x - math.sin(x)) - self.gap, 0.0, math.pi)
+        landing = 1.0 - math.cos(f)
+        in_phase = 0.5 * (math.pi - f) + 0.25 * math.sin(2.0 * f) + landing * math.sin(f)
+        ahead = -0.5 * math.sin(f) ** 2 + landing * math.cos(f)
+        return 2.0 / math.pi * complex(in_phase, ahead)
+
+
+def limit_cycle(controller: Controller, gap: float, motor_share: float, held: float) -> LimitCycle | None:
+    """The hunting that a gap causes in a loop that takes no notice of it, by harmonic balance.
+
+    `held` is the link's dry friction: where the swing's torque does not exceed it, the link sticks. Of several
+    solutions the largest is the stable one: beyond it the gap matters less and the loop pulls inwards.
     """
     if gap <= 0.0:
         return None
-    open_loop = loop(controller)
-    response, omega = _response(open_loop, controller)
-    play = control.friction_backlash_nonlinearity(gap)
-    amplitudes = 0.5 * gap * np.geomspace(1.001, 200.0, 400)
+    response, omega = _response(loop(controller), controller, 500)
+    element = Gap(gap)
+    flights = gap / math.pi * np.geomspace(1.0001, 300.0, 200)
     found = control.describing_function_response(
-        control.frd(response, omega, smooth=True), play, amplitudes, omega, refine=False
+        control.frd(response, omega, smooth=True), element, flights, omega, refine=False
     )
-    cycles = [
-        LimitCycle(float(abs(play.describing_function(a)) * a), float(w) / (2 * math.pi))
-        for a, w in found.intersections
-    ]
+    cycles = []
+    for flight, rate in found.intersections:
+        amplitude = motor_share * float(flight) * abs(element.describing_function(float(flight)))
+        if amplitude * float(rate) ** 2 > held:
+            cycles.append(LimitCycle(amplitude, float(rate) / (2.0 * math.pi)))
     return max(cycles, key=lambda c: c.amplitude, default=None)

@@ -24,7 +24,7 @@ from twin.writers.python import module as axis_module
 from twin.writers.python import numbering, resolve
 
 #: Memory of the controller between samples.
-MEMORY = ("started", "nominal", "disturbance", "acceleration")
+MEMORY = ("started", "nominal", "disturbance", "acceleration", "holding")
 
 #: The design's numbers, in the order of `g`. {x}, {u}: units of axis and input.
 SETTINGS: dict[str, tuple[str, str]] = {
@@ -43,8 +43,10 @@ SETTINGS: dict[str, tuple[str, str]] = {
     "rest_speed": ("{x}/s", "speed below which the observer cannot tell motion from rest"),
     "blur": ("{u}", "effective command within which the dead-band is passed in a straight line"),
     "braking": ("1", "share of the available torque on which a large step counts for braking"),
-    "gap_tolerance": ("{x}", "error at rest for which the gap is not crossed; 0: always crossed"),
-    "gap_speed": ("1/s", "speed of the motor in the gap per remaining gap; 0: not slowed"),
+    "tolerance": (
+        "{x}",
+        "error at rest within which the load is only held, so as not to hunt across the gap",
+    ),
 }
 
 
@@ -152,10 +154,18 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
         m.acceleration = acceleration
         x.position = reading - sensor(reading, p)
     error = reading - x.position - sensor(x.position, p)
+    apart = 0
+    if has.backlash:
+        if x.velocity != x.motor_velocity and x.gap < 0.5 * p.backlash_gap and x.gap > -0.5 * p.backlash_gap:
+            apart = 1
     x.position = x.position + g.observer_position * error
     x.velocity = x.velocity + g.observer_velocity * error
-    x.motor_velocity = x.motor_velocity + g.observer_velocity * error
-    m.disturbance = m.disturbance + g.observer_disturbance * error
+    if apart == 0:
+        x.motor_velocity = x.motor_velocity + g.observer_velocity * error
+    else:
+        x.gap = clip(x.gap - g.observer_position * error, 0.5 * p.backlash_gap)
+    if m.holding == 0.0:
+        m.disturbance = m.disturbance + g.observer_disturbance * error
     p.offset = m.nominal + m.disturbance
 
     whole = int(g.whole)
@@ -193,6 +203,14 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
         spare = least
     closing = approach(away, spare, g)
     wish = acceleration + g.velocity_gain * (closing + pace - y.velocity)
+    if speed != 0.0 or acceleration != 0.0 or side * away > 1.5 * g.tolerance:
+        m.holding = 0.0
+    elif side * away < g.tolerance and clip(y.velocity, g.rest_speed) == y.velocity:
+        m.holding = 1.0
+    if m.holding > 0.0:
+        closing = 0.0
+        # Only the load is held up; the axis' own resistance ends the motion without a crossing of the gap.
+        wish = resist / total
 
     heading = clip(2.0 * y.velocity / g.rest_speed, 2.0) + clip((pace + closing) / g.rest_speed, 1.0)
     heading = clip(heading, 1.0)
