@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import itertools
 import re
 
 import numpy as np
@@ -40,7 +41,7 @@ def with_input(text: str) -> str:
 
 
 def pulses() -> list[tuple[float, float]]:
-    return [(until, value) for (_, value), (until, _) in zip(EDGES, EDGES[1:], strict=False)]
+    return [(until, value) for (_, value), (until, _) in itertools.pairwise(EDGES)]
 
 
 @compiler

@@ -78,7 +78,8 @@ def _unit(unit: str) -> tuple[str, str]:
     """The attribute and a remark for the comment. Modelica's grammar of units has no percent."""
     if "%" in unit:
         return "", f" [{unit}]"
-    above, below = [], []
+    above: list[str] = []
+    below: list[str] = []
     for sign, name, power in re.findall(r"([*/]?)([^*/^]+)(?:\^(-?\d+))?", unit):
         (below if sign == "/" else above).append(name + power)
     top = ".".join(above)
@@ -255,8 +256,9 @@ def write(model: Model) -> str:
         declared += more
         equations += joined
         equations += [
-            f"motor_share*der(motor_velocity) = torque + friction_share*({drag_motor}) - contact{gripped['motor']};",
-            f"(mass - motor_share)*der(velocity) = load + (1 - friction_share)*({drag_link}) + contact{gripped['link']};",
+            f"motor_share*der(motor_velocity) = torque - contact + friction_share*({drag_motor}){gripped['motor']};",
+            "(mass - motor_share)*der(velocity) = load + contact"
+            f" + (1 - friction_share)*({drag_link}){gripped['link']};",
         ]
     else:
         equations.append(f"mass*der(velocity) = torque + load + {drag_link}{gripped['link']};")
