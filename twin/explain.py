@@ -18,14 +18,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import identify, likelihood, locate
+from twin import compare, identify, likelihood, locate
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.likelihood import Case, Point
 
 FloatArray = NDArray[np.float64]
 
-#: Coarse fits per round, and how many of them go on to a fine fit.
+#: Candidates per round that are fitted coarsely, and how many of them go on to a fine fit.
+SURVIVORS = 7
 FINALISTS = 3
 
 
@@ -70,7 +71,9 @@ def _lines(missing: locate.Missing, variable: str, rates: FloatArray, count: int
     return _peaks(rates, power, count)
 
 
-def grids(cases: Sequence[Case], structure: Structure, values: Mapping[str, float]) -> dict[str, list[dict[str, float]]]:
+def grids(
+    cases: Sequence[Case], structure: Structure, values: Mapping[str, float]
+) -> dict[str, list[dict[str, float]]]:
     """For each candidate, values of its non-linear parameters that are worth a try on these recordings."""
     longest = max(cases, key=lambda c: c.drive.time[-1])
     span = float(max(np.max(np.abs(c.recording.input)) for c in cases))
@@ -181,7 +184,8 @@ def _nested_starts(
             one, two = runs[: len(cases)], runs[len(cases) :]
             column = free.index(screen.gain)
             merged = [
-                replace(a, slopes=np.column_stack([a.slopes, b.slopes[:, column]])) for a, b in zip(one, two, strict=True)
+                replace(a, slopes=np.column_stack([a.slopes, b.slopes[:, column]]))
+                for a, b in zip(one, two, strict=True)
             ]
             point = likelihood.evaluate(
                 cases, structure, values, base.density, (*free, "second"), run=lambda m=merged: m
@@ -200,37 +204,112 @@ def _inside(values: Mapping[str, float]) -> dict[str, float]:
     return {n: float(min(max(v, bounds[n][0]), bounds[n][1])) for n, v in values.items()}
 
 
-def _cases_for(cases: Sequence[Case], structure: Structure) -> list[Case]:
-    longest = 0.002 / structure.substeps * (1.0 + 1e-9)
-    return [replace(c, drive=replace(c.drive, longest=longest)) for c in cases]
+def _promised(point: Point) -> float:
+    """Deviance that one Gauss-Newton step over all free parameters promises to take away."""
+    size = np.sqrt(np.maximum(np.diag(point.normal), 1e-300))
+    a = point.normal / np.outer(size, size) + 1e-6 * np.eye(len(size))
+    g = point.gradient / size
+    return float(g @ np.linalg.solve(a, g))
 
 
-def coarse_fit(cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]]) -> Hypothesis:
-    """The candidate's best coarse fit beside everything that the base model has."""
+def _direct_starts(
+    cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]], free: tuple[str, ...]
+) -> list[Start]:
+    """Starts of a candidate that is tried as it is; what the rest of the model would regain is promised too."""
     structure = base.structure.with_(effect)
-    mine = _cases_for(cases, structure)
-    free = identify.free_parameters(structure)
-    held = set(base.structure.parameters and identify.free_parameters(base.structure)) - set(base.free)
-    free = tuple(n for n in free if n not in held)
+    neutral = {k: v for k, v in _neutral(effect).items() if k not in base.values}
+    starts = []
+    for trial in trials:
+        values = {**base.values, **neutral, **_inside(trial)}
+        point = likelihood.evaluate(cases, structure, values, base.density, free)
+        starts.append(Start(values, base.deviance - point.deviance + _promised(point)))
+    return starts
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A candidate at the start line."""
+
+    effect: str
+    free: tuple[str, ...]
+    start: Start
+
+
+def _enter(cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]]) -> Entry:
+    structure = base.structure.with_(effect)
+    mine = identify.with_steps(cases, structure)
+    held = set(identify.free_parameters(base.structure)) - set(base.free)
+    free = tuple(n for n in identify.free_parameters(structure) if n not in held)
     if effect in _DIRECT:
-        neutral = {k: v for k, v in _neutral(effect).items() if k not in base.values}
-        starts = [Start({**base.values, **neutral, **_inside(t)}, 0.0) for t in trials]
-        tried = [
-            likelihood.climb(mine, structure, s.values, base.density, free, rounds=3, tolerance=1.0) for s in starts
-        ]
+        starts = _direct_starts(mine, base, effect, trials, free)
     else:
-        starts = sorted(_nested_starts(mine, base, effect, trials), key=lambda s: -s.promise)[:2]
-        tried = [
-            likelihood.climb(mine, structure, s.values, base.density, free, rounds=3, tolerance=1.0) for s in starts
-        ]
-    best = min(tried, key=lambda q: q.deviance)
-    best = likelihood.climb(mine, structure, best.values, base.density, free, rounds=12, tolerance=1.0)
-    return Hypothesis((effect,), best)
+        starts = _nested_starts(mine, base, effect, trials)
+    return Entry(effect, free, max(starts, key=lambda s: s.promise))
+
+
+def _climb(cases: Sequence[Case], base: Point, entry: Entry) -> Hypothesis:
+    structure = base.structure.with_(entry.effect)
+    mine = identify.with_steps(cases, structure)
+    found = likelihood.climb(mine, structure, entry.start.values, base.density, entry.free, rounds=12, tolerance=1.0)
+    return Hypothesis((entry.effect,), found)
 
 
 def coarse_round(cases: Sequence[Case], base: Point, candidates: Sequence[str]) -> list[Hypothesis]:
-    """Every candidate's coarse fit, the best first."""
+    """The coarse fits of the candidates that promise most, the best first."""
     trials = grids(cases, base.structure, base.values)
     with ThreadPoolExecutor(2) as pool:
-        fits = list(pool.map(lambda e: coarse_fit(cases, base, e, trials[e]), candidates))
+        entries = sorted(
+            pool.map(lambda e: _enter(cases, base, e, trials[e]), candidates), key=lambda e: -e.start.promise
+        )
+        fits = list(pool.map(lambda e: _climb(cases, base, e), entries[:SURVIVORS]))
     return sorted(fits, key=lambda h: h.deviance)
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One addition: the model before, the rivals (fitted finely, the best first), and what the coarse round said."""
+
+    before: Point
+    rivals: tuple[Hypothesis, ...]
+    coarse: tuple[tuple[str, float], ...]  # effect and its coarse gain in deviance
+
+
+def fine_fit(
+    cases: Sequence[Case],
+    structure: Structure,
+    starts: Sequence[Mapping[str, float]],
+    held: Mapping[str, float],
+    density: float,
+) -> Point:
+    """Maximum likelihood with everything free, from the likeliest of the starts."""
+    structure = identify.with_teeth(structure)
+    mine = identify.with_steps(cases, structure)
+    free = tuple(n for n in identify.free_parameters(structure) if n not in held)
+    full = [{p.name: s.get(p.name, p.start) for p in structure.parameters} | dict(held) for s in starts]
+    if len(full) > 1:
+        full.sort(key=lambda values: likelihood.evaluate(mine, structure, values, density).deviance)
+    return likelihood.fit(mine, structure, full[0], free, rounds=12)
+
+
+def refit_smaller(cases: Sequence[Case], smaller: Point, larger: Point, held: Mapping[str, float]) -> Point:
+    """The smaller model from the larger one's optimum, if that is better than where it was."""
+    values = {**smaller.values, **{n: larger.values[n] for n in smaller.values if n in larger.values}}
+    again = fine_fit(cases, smaller.structure, [values], held, smaller.density)
+    return again if again.deviance < smaller.deviance else smaller
+
+
+def fine_round(cases: Sequence[Case], before: Point, coarse: Sequence[Hypothesis], held: Mapping[str, float]) -> Round:
+    """Fit the best coarse candidates finely and let the smaller model learn from the best of them."""
+
+    def finely(h: Hypothesis) -> Hypothesis:
+        teeth = {n: v for n, v in before.values.items() if n.startswith("tooth_")}
+        mixed = {**h.point.values, **before.values}
+        starts = [{**teeth, **h.point.values}, mixed]
+        return Hypothesis(h.added, fine_fit(cases, h.point.structure, starts, held, before.density))
+
+    with ThreadPoolExecutor(2) as pool:
+        rivals = sorted(pool.map(finely, coarse[:FINALISTS]), key=lambda h: compare.criterion(h.point))
+    if rivals[0].deviance < before.deviance - 3.0 * compare.PRICE:
+        before = refit_smaller(cases, before, rivals[0].point, held)
+    gains = tuple((h.added[0], h.deviance) for h in coarse)
+    return Round(before, tuple(rivals), gains)

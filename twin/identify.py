@@ -11,20 +11,23 @@ density that the recording asks for.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
 
 from twin import likelihood
 from twin.axis import BASE, Structure
+from twin.errors import BadInput
 from twin.likelihood import Case, Point
+from twin.model import Model
 from twin.recording import Recording
 from twin.startup import start_values
 
 #: Memory of the filter while the coarse values are looked for, s.
 MEMORY = 0.1
 
-_CORE = ("input_gain", "viscous_friction", "dead_band_forward", "dead_band_reverse")
 _GRID = {
     "backlash_gap": (0.003, 0.006, 0.009, 0.013, 0.018, 0.025, 0.035, 0.05, 0.07, 0.09),
     "motor_share": (0.12, 0.22, 0.36, 0.55),
@@ -51,18 +54,22 @@ def _scan(
     return [trial for _, trial in tried[:keep]]
 
 
-def coarse(cases: Sequence[Case], structure: Structure, values: Mapping[str, float]) -> Point:
+def coarse(
+    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float] | None = None
+) -> Point:
     """A point in the right valley, by steps (1) and (2), for contact without compliance."""
     density = likelihood.density_of(cases[0], MEMORY)
     rigid = structure.without("tooth_compliance")
-    core = tuple(n for n in free_parameters(rigid) if n not in _GRID)
+    free = tuple(n for n in free_parameters(rigid) if n not in (held or {}))
+    core = tuple(n for n in free if n not in _GRID)
     point = likelihood.climb(cases, rigid, values, density, core, rounds=12, tolerance=1.0)
-    if "backlash" not in rigid:
+    grid = {n: v for n, v in _GRID.items() if n in free}
+    if not grid:
         return point
     best = point
-    for start in _scan(cases, rigid, point.values, density, _GRID, keep=2):
-        trial = likelihood.climb(cases, rigid, start, density, core, rounds=4, tolerance=1.0)
-        trial = likelihood.climb(cases, rigid, trial.values, density, free_parameters(rigid), rounds=15, tolerance=1.0)
+    for begin in _scan(cases, rigid, point.values, density, grid, keep=2):
+        trial = likelihood.climb(cases, rigid, begin, density, core, rounds=4, tolerance=1.0)
+        trial = likelihood.climb(cases, rigid, trial.values, density, free, rounds=15, tolerance=1.0)
         if trial.deviance < best.deviance:
             best = trial
     return best
@@ -89,24 +96,132 @@ def _choose_contacts(cases: Sequence[Case], structure: Structure, values: Mappin
     return chosen
 
 
-def joint(recordings: Sequence[Recording], structure: Structure, held: Mapping[str, float] | None = None) -> Point:
-    """Maximum-likelihood estimate of a structure from recordings; `held` parameters keep their value."""
-    held = dict(held or {})
+def with_teeth(structure: Structure) -> Structure:
+    """The structure with teeth that give, unless a softer joint already stands for them."""
+    if "backlash" not in structure or "joint_elasticity" in structure:
+        return structure.without("tooth_compliance")
+    return structure.with_("tooth_compliance")
+
+
+def with_steps(cases: Sequence[Case], structure: Structure) -> list[Case]:
+    """The cases with the internal step that the structure needs."""
+    longest = 0.002 / structure.substeps * (1.0 + 1e-9)
+    return [replace(c, drive=replace(c.drive, longest=longest)) for c in cases]
+
+
+def start(recordings: Sequence[Recording], structure: Structure, held: Mapping[str, float]) -> tuple[list[Case], Point]:
+    """Cases and a coarse point of the structure without compliant teeth; `held` parameters keep their value."""
     rigid = structure.without("tooth_compliance")
     cases = prepare(recordings, rigid)
     values = {**start_values(cases, rigid), **held}
-    point = coarse(cases, rigid, values)
-    cases = _choose_contacts(cases, rigid, point.values)
-    if "tooth_compliance" in structure:
-        cases = [replace(c, drive=replace(c.drive, longest=0.002 / structure.substeps * (1 + 1e-9))) for c in cases]
-        start = _scan(cases, structure, point.values, point.density, _TEETH, keep=1)[0]
-        point = likelihood.climb(
-            cases, structure, start, point.density, free_parameters(structure), rounds=15, tolerance=1.0
-        )
+    point = coarse(cases, rigid, values, held)
+    return _choose_contacts(cases, rigid, point.values), point
+
+
+def refine(cases: Sequence[Case], structure: Structure, coarse_point: Point, held: Mapping[str, float]) -> Point:
+    """The maximum of the full likelihood from a coarse point, teeth included where the structure has them."""
+    values = dict(coarse_point.values)
+    mine = with_steps(cases, structure)
     free = tuple(n for n in free_parameters(structure) if n not in held)
-    return likelihood.fit(cases, structure, point.values, free, point.density)
+    if "tooth_compliance" not in structure:
+        return likelihood.fit(mine, structure, values, free, coarse_point.density)
+    best = _scan(mine, structure, values, coarse_point.density, _TEETH, keep=1)[0]
+    point = likelihood.climb(mine, structure, best, coarse_point.density, free, rounds=15, tolerance=1.0)
+    point = likelihood.fit(mine, structure, point.values, free, point.density)
+    # The teeth's frequency has many valleys, and the first look at it was through a wrong gap: look again.
+    for again in _scan(mine, structure, point.values, point.density, _TEETH, keep=2):
+        other = likelihood.climb(mine, structure, again, point.density, free, rounds=8, tolerance=1.0)
+        if other.deviance < point.deviance - 1.0:
+            point = likelihood.fit(mine, structure, other.values, free, point.density)
+    return point
+
+
+def joint(recordings: Sequence[Recording], structure: Structure, held: Mapping[str, float] | None = None) -> Point:
+    """Maximum-likelihood estimate of a structure from recordings; `held` parameters keep their value."""
+    held = dict(held or {})
+    cases, point = start(recordings, structure, held)
+    return refine(cases, structure, point, held)
 
 
 def base_structure() -> Structure:
     """The base effects with teeth that give, which is what a real gap is made of."""
     return Structure.of([*BASE, "tooth_compliance"])
+
+
+def _notes(point: Point) -> dict[str, str]:
+    """What the recording cannot fix, and what would."""
+    covariance = point.covariance * 1.0
+    size = np.sqrt(np.diag(covariance))
+    notes = {}
+    for i, name in enumerate(point.free):
+        value = abs(point.values[name])
+        if size[i] <= 0.5 * max(value, 1e-12):
+            continue
+        correlation = np.abs(covariance[i] / (size[i] * np.maximum(size, 1e-300)))
+        correlation[i] = 0.0
+        partner = point.free[int(np.argmax(correlation))]
+        if correlation.max() > 0.95:
+            notes[name] = f"the recording cannot fix it: it and {partner} show only together; {_remedy(name, partner)}"
+        else:
+            notes[name] = f"the recording cannot fix it; {_remedy(name, '')}"
+    return notes
+
+
+def _remedy(name: str, partner: str) -> str:
+    both = {name, partner}
+    if any(n.startswith("dead_band") for n in both) and "coulomb_friction" in both:
+        return "add a slow triangle through zero and coast-downs: dead-band and dry friction are one in steady state"
+    if both & {"backlash_gap", "motor_share", "friction_share", "tooth_frequency", "tooth_damping"}:
+        return "add reversals at two or more amplitudes"
+    return "add steps at more duties, coast-downs and slow ramps"
+
+
+def to_model(point: Point, recordings: Sequence[Recording], method: str, held: Mapping[str, float]) -> Model:
+    """The point as a model, with where it comes from."""
+    first = recordings[0]
+    variance = likelihood.prepare(first, point.structure).reading_variance * point.scale
+    known = {k: v for k, v in likelihood.known_quantities(first).items() if v}
+    return Model(
+        structure=point.structure,
+        values={p.name: float(point.values[p.name]) for p in point.structure.parameters},
+        fitted=point.free,
+        covariance=point.covariance,
+        notes=_notes(point),
+        axis_unit=first.output_unit.removesuffix("/s"),
+        input_unit=first.input_unit,
+        sample_time=float(np.round(np.median(np.diff(first.time)), 9)),
+        resolution=first.resolution,
+        reads_speed=first.is_speed,
+        reading_std=math.sqrt(variance),
+        torque_density=point.density * variance,
+        known={**known, **({"inertia": first.known["inertia"]} if "inertia" in first.known else {})},
+        provenance={
+            "method": method,
+            "recordings": ", ".join(r.name for r in recordings),
+            **({"held": ", ".join(held)} if held else {}),
+        },
+    )
+
+
+def identify(
+    recordings: Sequence[Recording],
+    structure: Structure,
+    method: str = "joint",
+    held: Mapping[str, float] | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Model:
+    """The model of a structure from its training recordings. `method` is joint or two-stage. Raises BadInput."""
+    tell = progress or (lambda sentence, share: None)
+    train = [r for r in recordings if r.role == "train"]
+    if not train:
+        raise BadInput("every recording has the role holdout: give at least one to fit")
+    if method == "two-stage":
+        from twin import two_stage
+
+        tell("steady states and transients", 0.0)
+        return two_stage.to_model(two_stage.two_stage(train), train)
+    tell("a coarse fit", 0.0)
+    held = dict(held or {})
+    cases, point = start(train, structure, held)
+    tell("the full likelihood", 0.5)
+    return to_model(refine(cases, with_teeth(structure), point, held), train, "joint", held)

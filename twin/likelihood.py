@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from twin import kernel
-from twin.axis import STATES, Structure
+from twin.axis import EVERYTHING, STATES, Structure
 from twin.kernel import INDEX, Drive
 from twin.recording import Recording
 
@@ -28,7 +28,7 @@ FloatArray = NDArray[np.float64]
 
 #: Normalised innovations beyond this count linearly, not squared (Huber).
 ROBUST_LIMIT = 4.0
-_BOUNDS = {p.name: (p.lower, p.upper) for p in kernel.EVERYTHING.parameters}
+_BOUNDS = {p.name: (p.lower, p.upper) for p in EVERYTHING.parameters}
 
 
 @dataclass(frozen=True, eq=False)

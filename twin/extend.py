@@ -1,0 +1,331 @@
+"""From a first model and recordings to the diagnosis: search, judge, refit, show on data that nothing has seen."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from twin import compare, explain, identify, likelihood, locate, package
+from twin.axis import BASE, Structure
+from twin.effects.catalogue import CANDIDATES, EFFECTS
+from twin.explain import Hypothesis, Round
+from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace
+from twin.likelihood import Case, Point
+from twin.model import Model
+from twin.recording import Recording
+from twin.writers import latex
+
+Progress = Callable[[str, float], None]
+
+#: Of a lone recording, the part that fits and choices may see.
+TRAINING = 0.7
+#: More effects than this at once are not looked for.
+MOST = 4
+#: Leftover share of the missing torque, held out, that counts as structure.
+LEFTOVER = 0.15
+_TIMED = ("load_change", "thermal_fade", "periodic_disturbance")
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """How a structure was arrived at: the first model, the last, and the rounds between."""
+
+    first: Point
+    last: Point
+    rounds: tuple[Round, ...]
+    cases: tuple[Case, ...]
+
+
+def _worth(before: Point, after: Point, explained: float) -> bool:
+    """Whether an addition earns its place."""
+    gain = compare.criterion(before) - compare.criterion(after)
+    return gain > compare.LEAST + compare.FRACTION * explained
+
+
+def _prune(cases: Sequence[Case], point: Point, held: Mapping[str, float], keep: Structure) -> Point:
+    """Drop effects that the others have made superfluous."""
+    while len(point.structure.named) > 1:
+        tried = []
+        for effect in point.structure.named:
+            if effect in keep:
+                continue
+            smaller = point.structure.without(effect, *_orphans(point.structure, effect))
+            tried.append(explain.fine_fit(cases, smaller, [point.values], held, point.density))
+        best = min(tried, key=compare.criterion, default=point)
+        if best is point or compare.criterion(best) > compare.criterion(point) + 2.0 * compare.PRICE:
+            return point
+        point = best
+    return point
+
+
+def _orphans(structure: Structure, effect: str) -> tuple[str, ...]:
+    """What the effect brought with it and no other effect needs."""
+    others = [e for e in structure.effects if e.id != effect]
+    needed = {i for e in others for i in e.includes}
+    return tuple(i for i in EFFECTS[effect].includes if i not in BASE and i not in needed)
+
+
+def search(
+    recordings: Sequence[Recording],
+    first: Structure,
+    held: Mapping[str, float],
+    candidates: Sequence[str] = CANDIDATES,
+    progress: Progress | None = None,
+) -> Search:
+    """Add effects one at a time for as long as each earns its place."""
+    tell = progress or (lambda sentence, share: None)
+    tell("fitting the first model", 0.0)
+    cases, rough = identify.start(recordings, first, held)
+    fine = identify.refine(cases, identify.with_teeth(first), rough, held)
+    first_point = fine
+    rounds: list[Round] = []
+    for n in range(MOST):
+        open_ = [c for c in candidates if c not in rough.structure]
+        tell(f"round {n + 1}: trying {len(open_)} effects", 0.15 + 0.2 * n)
+        hypotheses = explain.coarse_round(cases, rough, open_)
+        tell(f"round {n + 1}: fitting the best {explain.FINALISTS}", 0.25 + 0.2 * n)
+        this = explain.fine_round(cases, fine, hypotheses, held)
+        rounds.append(this)
+        if n == 0:
+            first_point = this.before
+        winner = this.rivals[0]
+        explained = first_point.deviance - winner.deviance
+        if not _worth(this.before, winner.point, explained):
+            fine = this.before
+            break
+        fine = winner.point
+        rigid = fine.structure.without("tooth_compliance")
+        again = identify.coarse(cases, rigid, fine.values, held)
+        named = next(h for h in hypotheses if h.added == winner.added)
+        rough = min((again, named.point), key=lambda p: p.deviance)
+        if rough is again:
+            retried = explain.fine_fit(cases, rigid, [{**fine.values, **again.values}], held, fine.density)
+            if retried.deviance < fine.deviance:
+                fine = retried
+    fine = _prune(cases, fine, held, first)
+    return Search(first_point, fine, tuple(rounds), tuple(cases))
+
+
+def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[tuple[Recording, float]]]:
+    """What may be fitted, and (recording, moment from which on it is held out)."""
+    train = [r for r in recordings if r.role == "train"]
+    held_out = [(r, 0.0) for r in recordings if r.role != "train"]
+    if held_out:
+        return train, held_out
+    cut = [(r, TRAINING * float(r.time[-1])) for r in train]
+    return [r.part(0.0, t) for r, t in cut], cut
+
+
+def _free_run(fmu: Path, recording: Recording, since: float, timed: bool) -> np.ndarray:
+    """What the FMU says the sensor reads from `since` on, started there from the recorded state.
+
+    Physics that depends on the time since the start must run from the start; the run is then moved to the
+    recorded position at `since`, because only what happens afterwards is judged.
+    """
+    keep = recording.time >= since
+    if since > 0.0 and not timed:
+        part = recording.part(since, float(recording.time[-1]))
+        ran = package.replay(fmu, part)
+        return _seen(ran, recording)
+    ran = package.replay(fmu, recording)
+    seen = _seen(ran, recording)[keep]
+    if since > 0.0 and not recording.is_speed:
+        first = np.flatnonzero(np.isfinite(recording.output[keep]))[0]
+        seen = seen + recording.output[keep][first] - seen[first]
+    return seen
+
+
+def _seen(ran: package.Replay, recording: Recording) -> np.ndarray:
+    return np.asarray(ran.velocity if recording.is_speed else ran.position_measured)
+
+
+def traces(before: Model, after: Model, recordings: Sequence[tuple[Recording, float]], role: str) -> list[Trace]:
+    """Both models beside each recording, free-running through their FMUs."""
+    timed = any(e in m.structure for m in (before, after) for e in _TIMED)
+    out = []
+    with tempfile.TemporaryDirectory() as folder:
+        for recording, since in recordings:
+            runs = []
+            for name, model in (("before", before), ("after", after)):
+                known = {**model.known, **likelihood.known_quantities(recording)}
+                fmu = package.export(replace(model, known=known), Path(folder) / f"{name}.fmu", force=True)
+                driven = replace(recording, input=likelihood.command_of(recording))
+                runs.append(_free_run(fmu, driven, since, timed))
+            keep = recording.time >= since
+            out.append(Trace(recording.name, role, recording.time[keep], recording.output[keep], runs[0], runs[1]))
+    return out
+
+
+def _fitness(chosen: Sequence[Trace], which: str, white: float) -> Fitness:
+    recorded = np.concatenate([t.recorded for t in chosen]) if chosen else np.zeros(0)
+    simulated = np.concatenate([getattr(t, which) for t in chosen]) if chosen else np.zeros(0)
+    value, percent = compare.rmse(recorded, simulated)
+    return Fitness(value, percent, white)
+
+
+def _white(cases: Sequence[Case], point: Point) -> float:
+    parts = [likelihood.innovations(c, point.structure, point.values, point.density) for c in cases]
+    return compare.whiteness(np.concatenate([i.error / np.sqrt(i.variance * point.scale) for i in parts]))
+
+
+def says(effect: str, model: Model) -> str:
+    """The sentence of an effect with the model's numbers in it."""
+    shown = {}
+    for i in (effect, *EFFECTS[effect].includes):
+        for p in EFFECTS[i].parameters:
+            value, std = model.values[p.name], model.std(p.name)
+            unit = model.unit(p.name)
+            spread = f" ± {std:.2g}" if math.isfinite(std) else ""
+            shown[p.name] = f"{value:.3g}{spread}{'' if unit == '1' else ' ' + unit}"
+    return EFFECTS[effect].sentence.format(**shown)
+
+
+def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, float], ...]]:
+    """Per named effect, and a ranking of the first round's candidates with "nothing" among them."""
+    named: dict[str, float] = {}
+    ranking: dict[str, float] = {}
+    for n, this in enumerate(found.rounds):
+        rivals = list(this.rivals)
+        weight = compare.weights([compare.criterion(this.before), *(compare.criterion(h.point) for h in rivals)])
+        for h, w in zip(rivals, weight[1:], strict=True):
+            effect = h.added[0]
+            if effect in found.last.structure:
+                named[effect] = max(named.get(effect, 0.0), float(w))
+            if n == 0 or effect in found.last.structure:
+                ranking[effect] = max(ranking.get(effect, 0.0), float(w))
+    for effect in found.last.structure.named:
+        named.setdefault(effect, 0.5)
+        ranking.setdefault(effect, named[effect])
+    return named, tuple(sorted(ranking.items(), key=lambda pair: -pair[1]))
+
+
+def _findings(found: Search, model: Model, first: Structure) -> tuple[Finding, ...]:
+    named, _ = _probabilities(found)
+    out = []
+    for effect in model.structure.named:
+        if effect in first:
+            continue
+        page = EFFECTS[effect]
+        parameters = {
+            p.name: Estimate(model.values[p.name], model.std(p.name), model.unit(p.name))
+            for i in (effect, *page.includes)
+            if i not in BASE
+            for p in EFFECTS[i].parameters
+        }
+        out.append(
+            Finding(effect, page.station, named[effect], says(effect, model), latex.equation(effect), parameters)
+        )
+    return tuple(sorted(out, key=lambda f: -f.probability))
+
+
+def _undecided(found: Search) -> tuple[tuple[str, str, str], ...]:
+    """Pairs that came within a few units of one another."""
+    out = []
+    for this in found.rounds:
+        ranked: list[Hypothesis] = [
+            h for h in this.rivals if compare.criterion(h.point) < compare.criterion(this.before)
+        ]
+        for other in ranked[1:]:
+            one, two = ranked[0].added[0], other.added[0]
+            close = compare.criterion(other.point) - compare.criterion(ranked[0].point) < 4.0 * compare.TEMPER
+            if close and one in found.last.structure and two not in found.last.structure:
+                text = EFFECTS[one].confused_with.get(two) or EFFECTS[two].confused_with.get(one)
+                out.append((one, two, text or "a richer recording: several amplitudes, coast-downs, slow ramps"))
+    return tuple(out)
+
+
+def diagnose(
+    recordings: Sequence[Recording],
+    first: Structure,
+    held: Mapping[str, float] | None = None,
+    candidates: Sequence[str] = CANDIDATES,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Locate, name, model and show what a first model of these recordings leaves out. Raises BadInput."""
+    held = dict(held or {})
+    tell = progress or (lambda sentence, share: None)
+    clock = time.perf_counter()
+    seconds: dict[str, float] = {}
+
+    def lap(stage: str) -> None:
+        nonlocal clock
+        now = time.perf_counter()
+        seconds[stage] = seconds.get(stage, 0.0) + now - clock
+        clock = now
+
+    train, held_out = split(recordings)
+    found = search(train, first, held, candidates, progress)
+    lap("search")
+    before = identify.to_model(found.first, train, "joint", held)
+    after = identify.to_model(found.last, train, "joint", held)
+    longest = max(range(len(found.cases)), key=lambda i: found.cases[i].drive.time[-1])
+    case = found.cases[longest]
+    missing = [
+        locate.missing_torque(identify.with_steps([case], p.structure)[0], p.structure, p.values)
+        for p in (found.first, found.last)
+    ]
+    shapes = [tuple(locate.shapes(m)) for m in missing]
+    lap("locate")
+    tell("checking on held-out data through the FMU", 0.9)
+    whole = [(r, 0.0) for r in train]
+    shown = [*traces(before, after, whole, "train"), *traces(before, after, held_out, "holdout")]
+    white = [_white(identify.with_steps(found.cases, p.structure), p) for p in (found.first, found.last)]
+    fit = {
+        role: {
+            when: _fitness([t for t in shown if t.role == role], when, white[i] if role == "train" else math.nan)
+            for i, when in enumerate(("before", "after"))
+        }
+        for role in ("train", "holdout")
+    }
+    lap("held-out check through FMPy")
+    findings = _findings(found, after, first)
+    leftover = shapes[1][0].share
+    verdict = _verdict(bool(findings), leftover)
+    depends = tuple(EFFECTS[findings[0].id].depends_on) if findings else tuple(locate.depends_on(missing[0]))
+    _, ranking = _probabilities(found)
+    return Diagnosis(
+        verdict=verdict,
+        findings=findings,
+        ranking=ranking,
+        station=findings[0].station if findings else "",
+        depends_on=depends if verdict != "nothing_missing" else (),
+        segments=tuple(locate.segments(missing[0])),
+        before=before,
+        after=after,
+        fit=fit,
+        traces=tuple(shown),
+        missing_before=missing[0],
+        missing_after=missing[1],
+        shapes_before=shapes[0],
+        shapes_after=shapes[1],
+        recordings=tuple(recordings),
+        faults=tuple(f for r in recordings for f in r.faults),
+        experiment=Experiment(),
+        undecided=_undecided(found),
+        remarks=tuple(_remarks(fit, findings)),
+        seconds=seconds,
+    )
+
+
+def _verdict(named: bool, leftover: float) -> str:
+    if leftover < LEFTOVER:
+        return "explained" if named else "nothing_missing"
+    return "partly_explained" if named else "unexplained"
+
+
+def _remarks(fit: Mapping[str, Mapping[str, Fitness]], findings: Sequence[Finding]) -> list[str]:
+    """Where the criteria disagree."""
+    held_out = fit["holdout"]
+    if findings and held_out["after"].rmse > held_out["before"].rmse:
+        return [
+            "The likelihood prefers the larger model but its free run on held-out data is worse "
+            f"({held_out['after'].nrmse_percent:.2f} % against {held_out['before'].nrmse_percent:.2f} %): "
+            "treat the finding with care."
+        ]
+    return []
