@@ -181,9 +181,16 @@ class Runner:
         )  # fmt: skip
 
 
-def close(plant: Plant, controller: Controller, reference: Reference) -> Tracking:
-    """Run the loop over the reference."""
-    runner, period = Runner(controller), controller.sample_time
+class Sampler(Protocol):
+    def sample(self, reference: float, velocity: float, acceleration: float, measured: float) -> float:
+        """The command to be given from the next sample on."""
+
+
+def close(
+    plant: Plant, controller: Controller, reference: Reference, sampler: Sampler | None = None
+) -> Tracking:
+    """Run the loop over the reference; another sampler may take the controller's place."""
+    runner, period = sampler or Runner(controller), controller.sample_time
     columns = (
         c.tolist() for c in (reference.time, reference.position, reference.velocity, reference.acceleration)
     )

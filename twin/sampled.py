@@ -58,28 +58,45 @@ def answer(target, emf, heat, limit, p):
     wanted = side * target
     low = 0.0
     high = 0.0
+    below = 0.0
+    above = 0.0
     peak = 0.0
     most = 0.0
     for i in range(16):
         high = limit * (i + 1.0) / 16.0
-        got = side * drive(side * high, emf, heat, p)
-        if got > most:
-            most = got
+        above = side * drive(side * high, emf, heat, p)
+        if above > most:
+            most = above
             peak = high
-        if got >= wanted:
+        if above >= wanted:
             break
         low = high
-    if most < wanted:
-        low = peak
+        below = above
+    if wanted == 0.0:
+        high = 0.0
+    elif most < wanted:
+        high = peak
     else:
-        for _ in range(30):
-            middle = 0.5 * (low + high)
-            if side * drive(side * middle, emf, heat, p) >= wanted:
+        # Regula falsi; the end that stays twice in a row is pulled towards the answer (Illinois).
+        stays = 0
+        for _ in range(50):
+            middle = high - (high - low) * (above - wanted) / (above - below)
+            got = side * drive(side * middle, emf, heat, p)
+            if got >= wanted:
                 high = middle
+                above = got
+                if stays == 1:
+                    below = wanted - 0.5 * (wanted - below)
+                stays = 1
             else:
                 low = middle
-        low = high
-    return side * low
+                below = got
+                if stays == 2:
+                    above = wanted + 0.5 * (above - wanted)
+                stays = 2
+            if high - low <= 1e-12 * limit or above - wanted <= 1e-12 * limit:
+                break
+    return side * high
 
 
 def invert(target, emf, heat, p, g):
