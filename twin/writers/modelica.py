@@ -1,7 +1,7 @@
 """The axis as a Modelica package: the same laws as equations, with units and documentation from the pages.
 
 Two things cannot be said in Modelica as the stepper says them, and the text says so where it stands:
-dry friction, which holds exactly in the stepper, is held here by a bristle that gives by half a microradian
+dry friction, which holds exactly in the stepper, is held here by a bristle that gives by one microradian
 (Canudas de Wit et al., A new model for control of systems with friction, IEEE TAC 40, 1995), and rigid contact
 across the backlash is a stiff, well damped spring.
 """
@@ -21,8 +21,8 @@ from twin.variables import known_read
 from twin.writers.python import laws_by_slot
 
 #: Travel of a held body, axis unit, and the bristle's damping, s.
-PRESLIDING = 5e-7
-BRISTLE_TIME = 1e-4
+PRESLIDING = 1e-6
+BRISTLE_TIME = 2e-4
 #: Ring of rigid contact, Hz: far above what an axis does, low enough for any solver.
 CONTACT_FREQUENCY = 300.0
 _RESTING = "start = 0, fixed = true"
