@@ -117,11 +117,29 @@ def grids(
                 }
             )
     out["end_stop"] = stops
+    if "backlash" in structure:
+        # Ringing is told by its frequency, which no gradient finds from afar, and changes what the gap looked like.
+        out["joint_elasticity"] = [
+            {
+                "joint_frequency": f,
+                "joint_damping": 0.15,
+                "motor_share": share,
+                "backlash_gap": gap,
+                "friction_share": 0.7,
+            }
+            for f in (3.0, 4.0, 5.3, 7.2, 10.0, 14.0, 20.0, 28.0)
+            for share in (0.15, 0.3, 0.45)
+            for gap in (0.015, 0.04)
+        ]
     return out
 
 
 #: Candidates whose gain has no neutral value to differentiate at, or acts too far from it: tried as they are.
 _DIRECT = ("drive_saturation", "motor_lag", "input_delay", "end_stop", "joint_elasticity")
+
+
+#: Starts of such a candidate that are looked at closely, with derivatives.
+_CLOSELY = 6
 
 
 @dataclass(frozen=True)
@@ -218,11 +236,15 @@ def _direct_starts(
     """Starts of a candidate that is tried as it is; what the rest of the model would regain is promised too."""
     structure = base.structure.with_(effect)
     neutral = {k: v for k, v in _neutral(effect).items() if k not in base.values}
-    starts = []
-    for trial in trials:
-        values = {**base.values, **neutral, **_inside(trial)}
-        point = likelihood.evaluate(cases, structure, values, base.density, free)
-        starts.append(Start(values, base.deviance - point.deviance + _promised(point)))
+    places = [{**base.values, **neutral, **_inside(t)} for t in trials]
+    if len(places) <= _CLOSELY:
+        points = [likelihood.evaluate(cases, structure, values, base.density, free) for values in places]
+    else:
+        # So many starts are there because the valley is narrow: the likeliest walk a little before they are judged.
+        places.sort(key=lambda v: likelihood.evaluate(cases, structure, v, base.density).deviance)
+        near = places[: _CLOSELY // 2]
+        points = [likelihood.climb(cases, structure, v, base.density, free, rounds=5, tolerance=1.0) for v in near]
+    starts = [Start(p.values, base.deviance - p.deviance + _promised(p)) for p in points]
     return starts
 
 
