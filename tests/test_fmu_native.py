@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import shutil
 import subprocess
@@ -20,6 +21,7 @@ from native_axis import NAMES, PERIOD, RIGID, by_kernel, command, model_of
 
 from twin import native
 from twin.axis import EVERYTHING, Structure
+from twin.effects.catalogue import BASE
 from twin.errors import BadInput
 from twin.model import Model
 from twin.native import export_native
@@ -90,6 +92,8 @@ class Host:
 
 
 FMI = (2, 3)
+#: Everything that an outside solver can be given.
+SOLVED = EVERYTHING.without("input_delay")
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +108,11 @@ def local(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[tuple[str, 
             for name, model in models.items()
             for fmi in FMI
         }
+
+
+@pytest.fixture
+def no_zig(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(native, "_has_zig", lambda: False)
 
 
 def differ(a: np.ndarray, b: np.ndarray) -> float:
@@ -305,7 +314,9 @@ def write_sources(model: Model, fmi: int, folder: Path) -> None:
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
 @pytest.mark.parametrize("fmi", FMI)
-@pytest.mark.parametrize("structure", [EVERYTHING, RIGID.without("input_delay")], ids=["all", "rigid"])
+@pytest.mark.parametrize(
+    "structure", [EVERYTHING, RIGID.without("input_delay"), SOLVED], ids=["all", "rigid", "solved"]
+)
 def test_abuse_under_sanitizers(tmp_path: Path, structure: Structure, fmi: int) -> None:
     """No undefined behaviour and no leak, whatever an importer calls."""
     model = model_of(structure)
@@ -318,3 +329,50 @@ def test_abuse_under_sanitizers(tmp_path: Path, structure: Structure, fmi: int) 
     done = subprocess.run(["./abuse", tmp_path.as_uri()], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
     assert len(done.stdout.split()) == 2
+
+
+ALONE = {
+    "motor": Structure.of(("inertia", "viscous_friction")),
+    "friction": Structure.of(("inertia", "viscous_friction", "coulomb_friction", "stribeck_friction")),
+    "teeth": Structure.of((*BASE, "tooth_compliance", "coulomb_friction", "gravity")),
+    "all": SOLVED,
+}
+EDGES = ((0.0, 60.0), (1.0, -60.0), (2.0, 0.0), (2.5, 30.0), (4.0, 0.0))
+
+
+@pytest.mark.parametrize("fmi", FMI)
+@pytest.mark.parametrize("name", ALONE)
+def test_model_exchange_moves_as_the_kernel(tmp_path: Path, no_zig: None, name: str, fmi: int) -> None:
+    model = model_of(ALONE[name], load_time=3.2) if "load_change" in ALONE[name] else model_of(ALONE[name])
+    fmu = export_native(model, tmp_path / "axis.fmu", fmi)
+    assert validate_fmu(str(fmu)) == []
+    time = np.arange(2561) * PERIOD
+    u = np.array([EDGES[np.searchsorted([s for s, _ in EDGES], t, side="right") - 1][1] for t in time])
+    rows = [(t, u) for (start, u), (end, _) in itertools.pairwise((*EDGES, (9.0, 0.0))) for t in (start, end)]
+    run = fmpy.simulate_fmu(
+        str(fmu), fmi_type="ModelExchange", stop_time=5.0, output_interval=4 * PERIOD, relative_tolerance=1e-8,
+        input=np.array(rows, dtype=[("time", float), ("duty", float)]),
+        start_values={"position_start": 0.3, "velocity_start": -1.0}, output=["position", "position_measured"],
+    )  # fmt: skip
+    at = run["time"] / PERIOD
+    grid = np.abs(at - at.round()) < 1e-9
+    truth = by_kernel(model, u, 0.3, -1.0)[at[grid].round().astype(int)]
+    assert grid.sum() > 600 and np.ptp(truth[:, 0]) > 1.0
+    assert np.max(np.abs(run["position"][grid] - truth[:, 0])) < 1e-3
+    assert np.max(np.abs(run["position_measured"][grid] - truth[:, 2])) < 1e-3
+
+
+@pytest.mark.parametrize("fmi", FMI)
+def test_model_exchange_holds_exactly(tmp_path: Path, no_zig: None, fmi: int) -> None:
+    """A link on a slope that friction holds does not creep, not by one bit, in an hour."""
+    structure = Structure.of(("inertia", "viscous_friction", "coulomb_friction", "gravity"))
+    fmu = export_native(model_of(structure, coulomb_friction=6.0, gravity_gain=5.0), tmp_path / "axis.fmu", fmi)
+    run = fmpy.simulate_fmu(str(fmu), fmi_type="ModelExchange", stop_time=3600.0, start_values={"position_start": 1.5})
+    assert np.all(run["position"] == 1.5) and np.all(run["velocity"] == 0.0)
+
+
+@pytest.mark.parametrize("fmi", FMI)
+def test_model_exchange_only_where_it_can_be_said(local: dict, fmi: int) -> None:
+    for name in ("elastic", "rigid"):  # dead time; dead time and rigid contact
+        description = fmpy.read_model_description(str(local[name, fmi]))
+        assert description.modelExchange is None and description.coSimulation is not None

@@ -20,6 +20,38 @@ class Identity:
     title: str
 
 
+@dataclass(frozen=True)
+class Derivative:
+    """The rate of a state, shown after the model's own variables."""
+
+    state: Variable
+    reference: int
+
+    @property
+    def name(self) -> str:
+        return f"der({self.state.name})"
+
+    @property
+    def unit(self) -> str:
+        return "1/s" if self.state.unit == "1" else f"{self.state.unit}/s"
+
+
+@dataclass(frozen=True)
+class Margin:
+    """An event indicator: how far the axis is from a change of mode."""
+
+    name: str
+    reference: int
+
+
+@dataclass(frozen=True)
+class Solver:
+    """What model exchange shows; without derivatives it is not offered."""
+
+    derivatives: tuple[Derivative, ...]
+    margins: tuple[Margin, ...]
+
+
 def _number(value: float) -> str:
     return repr(float(value))
 
@@ -31,10 +63,10 @@ def text(root: ET.Element) -> bytes:
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + body + b"\n"
 
 
-def add_units(parent: ET.Element, shown: tuple[Variable, ...]) -> None:
+def add_units(parent: ET.Element, names: set[str]) -> None:
     """UnitDefinitions for every unit in use; the attributes are the same in FMI 2 and FMI 3."""
     units = ET.SubElement(parent, "UnitDefinitions")
-    for name in sorted({v.unit for v in shown}):
+    for name in sorted(names):
         unit = ET.SubElement(units, "Unit", name=name)
         factor, exponents = base_unit(name)
         attributes = {base: str(exponent) for base, exponent in exponents.items()}
@@ -52,6 +84,12 @@ def _quantity(v: Variable) -> dict[str, str]:
         if value is not None:
             given[key] = _number(value)
     return given
+
+
+def _margin(m: Margin) -> dict[str, str]:
+    said = f"{m.name.replace('_', ' ')}: zero where the mode of motion changes"
+    kind = {"causality": "local", "variability": "continuous", "initial": "calculated"}
+    return {"name": m.name, "valueReference": str(m.reference), "description": said} | kind
 
 
 def _root(model: Model, identity: Identity, version: str, token_name: str) -> ET.Element:
@@ -74,81 +112,116 @@ def _experiment(root: ET.Element, model: Model) -> None:
     ET.SubElement(root, "DefaultExperiment", startTime="0.0", stepSize=_number(model.sample_time))
 
 
-def fmi2(model: Model, identity: Identity, sources: tuple[str, ...]) -> bytes:
-    """modelDescription.xml of FMI 2.0 co-simulation."""
+def fmi2(model: Model, identity: Identity, sources: tuple[str, ...], solver: Solver) -> bytes:
+    """modelDescription.xml of FMI 2.0: co-simulation, and model exchange where there are derivatives."""
     shown = variables(model)
     root = _root(model, identity, "2.0", "guid")
-    simulation = ET.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=identity.identifier,
-        canHandleVariableCommunicationStepSize="true",
-        canNotUseMemoryManagementFunctions="true",
-        canGetAndSetFMUstate="true",
-        canSerializeFMUstate="true",
-    )
-    files = ET.SubElement(simulation, "SourceFiles")
-    for name in sources:
-        ET.SubElement(files, "File", name=name)
-    add_units(root, shown)
+    if solver.derivatives:
+        root.set("numberOfEventIndicators", str(len(solver.margins)))
+    can = {
+        "modelIdentifier": identity.identifier,
+        "canNotUseMemoryManagementFunctions": "true",
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+    }
+    kinds = [ET.SubElement(root, "ModelExchange", can)] if solver.derivatives else []
+    kinds.append(ET.SubElement(root, "CoSimulation", can | {"canHandleVariableCommunicationStepSize": "true"}))
+    for kind in kinds:
+        files = ET.SubElement(kind, "SourceFiles")
+        for name in sources:
+            ET.SubElement(files, "File", name=name)
+    add_units(root, {v.unit for v in shown} | {d.unit for d in solver.derivatives})
     categories = ET.SubElement(root, "LogCategories")
     ET.SubElement(categories, "Category", name="logStatusError", description="why a call was refused")
     _experiment(root, model)
     listed = ET.SubElement(root, "ModelVariables")
+    jumping = {d.state.name for d in solver.derivatives} & {"velocity", "motor_velocity"}
     for v in shown:
         attributes = {"name": v.name, "valueReference": str(v.reference), "description": v.description}
         attributes |= {"causality": v.causality, "variability": v.variability}
         if v.initial:
             attributes["initial"] = v.initial
-        ET.SubElement(ET.SubElement(listed, "ScalarVariable", attributes), "Real", _quantity(v))
+        real = _quantity(v)
+        if v.name in jumping:
+            real["reinit"] = "true"
+        ET.SubElement(ET.SubElement(listed, "ScalarVariable", attributes), "Real", real)
+    for d in solver.derivatives:
+        attributes = {"name": d.name, "valueReference": str(d.reference), "description": f"rate of {d.state.name}"}
+        attributes |= {"causality": "local", "variability": "continuous", "initial": "calculated"}
+        real = {"unit": d.unit, "derivative": str(d.state.reference + 1)}
+        ET.SubElement(ET.SubElement(listed, "ScalarVariable", attributes), "Real", real)
+    for m in solver.margins:
+        ET.SubElement(ET.SubElement(listed, "ScalarVariable", _margin(m)), "Real", unit="1")
     index = {v.name: str(v.reference + 1) for v in shown}
     structure = ET.SubElement(root, "ModelStructure")
     outputs = ET.SubElement(structure, "Outputs")
+    rates = ET.SubElement(structure, "Derivatives") if solver.derivatives else structure
     initial = ET.SubElement(structure, "InitialUnknowns")
+    states = {d.state.name for d in solver.derivatives}
     for v in shown:
         if v.causality == "output":
             # Nothing feeds through: a step's result depends on states only.
-            ET.SubElement(outputs, "Unknown", index=index[v.name], dependencies="")
+            on = "position" if v.name == "position_measured" else v.name
+            ET.SubElement(outputs, "Unknown", index=index[v.name], dependencies=index[on] if states else "")
+        if v.causality == "output" or v.name in states:
             needs = " ".join(sorted((index[n] for n in v.initially_from), key=int))
             ET.SubElement(initial, "Unknown", index=index[v.name], dependencies=needs)
+    for d in solver.derivatives:
+        # Without the attribute a rate may depend on everything.
+        ET.SubElement(rates, "Unknown", index=str(d.reference + 1))
+        ET.SubElement(initial, "Unknown", index=str(d.reference + 1))
     return text(root)
 
 
-def fmi3(model: Model, identity: Identity) -> bytes:
-    """modelDescription.xml of FMI 3.0 co-simulation."""
+def fmi3(model: Model, identity: Identity, solver: Solver) -> bytes:
+    """modelDescription.xml of FMI 3.0: co-simulation, and model exchange where there are derivatives."""
     shown = variables(model)
     root = _root(model, identity, "3.0", "instantiationToken")
-    ET.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=identity.identifier,
-        canGetAndSetFMUState="true",
-        canSerializeFMUState="true",
-        canHandleVariableCommunicationStepSize="true",
-    )
-    add_units(root, shown)
+    can = {"modelIdentifier": identity.identifier, "canGetAndSetFMUState": "true", "canSerializeFMUState": "true"}
+    if solver.derivatives:
+        ET.SubElement(root, "ModelExchange", can)
+    ET.SubElement(root, "CoSimulation", can | {"canHandleVariableCommunicationStepSize": "true"})
+    add_units(root, {v.unit for v in shown} | {d.unit for d in solver.derivatives})
     categories = ET.SubElement(root, "LogCategories")
     ET.SubElement(categories, "Category", name="logStatusError", description="why a call was refused")
     _experiment(root, model)
     listed = ET.SubElement(root, "ModelVariables")
+    jumping = {d.state.name for d in solver.derivatives} & {"velocity", "motor_velocity"}
     for v in shown:
         attributes = {"name": v.name, "valueReference": str(v.reference), "description": v.description}
         attributes |= {"causality": v.causality, "variability": v.variability}
         if v.initial:
             attributes["initial"] = v.initial
-        ET.SubElement(listed, "Float64", attributes | _quantity(v))
-    clock = {"name": "time", "valueReference": str(len(shown)), "description": "the importer's time"}
+        jump = {"reinit": "true"} if v.name in jumping else {}
+        ET.SubElement(listed, "Float64", attributes | _quantity(v) | jump)
+    for d in solver.derivatives:
+        attributes = {"name": d.name, "valueReference": str(d.reference), "description": f"rate of {d.state.name}"}
+        attributes |= {"causality": "local", "variability": "continuous", "initial": "calculated"}
+        ET.SubElement(listed, "Float64", attributes | {"unit": d.unit, "derivative": str(d.state.reference)})
+    for m in solver.margins:
+        ET.SubElement(listed, "Float64", _margin(m) | {"unit": "1"})
+    after = str(len(shown) + len(solver.derivatives) + len(solver.margins))
+    clock = {"name": "time", "valueReference": after, "description": "the importer's time"}
     clock |= {"causality": "independent", "variability": "continuous", "unit": "s"}
     ET.SubElement(listed, "Float64", clock)
     reference = {v.name: str(v.reference) for v in shown}
     structure = ET.SubElement(root, "ModelStructure")
+    states = {d.state.name for d in solver.derivatives}
     for v in shown:
         if v.causality == "output":
-            ET.SubElement(structure, "Output", valueReference=reference[v.name], dependencies="")
+            on = "position" if v.name == "position_measured" else v.name
+            needs = reference[on] if states else ""
+            ET.SubElement(structure, "Output", valueReference=reference[v.name], dependencies=needs)
+    for d in solver.derivatives:
+        ET.SubElement(structure, "ContinuousStateDerivative", valueReference=str(d.reference))
     for v in shown:
-        if v.causality == "output":
+        if v.causality == "output" or v.name in states:
             needs = " ".join(sorted((reference[n] for n in v.initially_from), key=int))
             ET.SubElement(structure, "InitialUnknown", valueReference=reference[v.name], dependencies=needs)
+    for d in solver.derivatives:
+        ET.SubElement(structure, "InitialUnknown", valueReference=str(d.reference))
+    for m in solver.margins:
+        ET.SubElement(structure, "EventIndicator", valueReference=str(m.reference))
     return text(root)
 
 

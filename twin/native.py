@@ -24,11 +24,11 @@ from pathlib import Path
 
 from twin import description
 from twin.axis import KNOWN, STATES
-from twin.description import Identity
+from twin.description import Derivative, Identity, Margin, Solver
 from twin.errors import BadInput
 from twin.model import Model, dumps
 from twin.variables import ROUND, STATE_NAMES, Variable, delay_capacity, parameters_text, variables
-from twin.writers import c
+from twin.writers import c, exchange
 
 OPTIONS = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden")
 _NAMED_STATES = ("position", "velocity", "motor_velocity", "time")  # the plumbing starts these and shows them
@@ -67,9 +67,40 @@ def _slots(model: Model) -> dict[str, int]:
     """Where the value of each variable stands: what the stepper takes as an array stands together."""
     shown = variables(model)
     names = [model.input_name, *(p.name for p in model.structure.parameters), *KNOWN]
-    names += ["position_start", "velocity_start", *STATE_NAMES]
+    names += ["position_start", "velocity_start", *STATE_NAMES, *_behind(model)]
     names += [v.name for v in shown if v.name not in set(names)]
     return {name: i for i, name in enumerate(names)}
+
+
+def _behind(model: Model) -> tuple[str, ...]:
+    return exchange.BEHIND if exchange.offered(model.structure) else ()
+
+
+def solver(model: Model) -> Solver:
+    """What model exchange adds behind the variables; nothing where it is not offered."""
+    if not exchange.offered(model.structure):
+        return Solver((), ())
+    shown = {v.name: v for v in variables(model)}
+    states = [shown[name] for name in exchange.continuous(model.structure)]
+    watched = exchange.margins(model.structure)
+    first = len(shown) + len(states)
+    return Solver(
+        tuple(Derivative(state, len(shown) + i) for i, state in enumerate(states)),
+        tuple(Margin(name, first + i) for i, name in enumerate(watched)),
+    )
+
+
+def _solver_tables(model: Model) -> list[str]:
+    """What an outside solver integrates and watches, as places behind the first state."""
+    order, outside = (*STATES, *exchange.BEHIND), solver(model)
+    rates = [f"rate_{d.state.name}" for d in outside.derivatives]
+    states = [name.removeprefix("rate_") for name in rates]
+    lists = {"continuous": states, "derivative": rates, "indicator": [m.name for m in outside.margins]}
+    # C has no empty arrays.
+    return [
+        f"static const size_t {name}[] = {{{', '.join(str(order.index(n)) for n in names) or '0'}}};"
+        for name, names in lists.items()
+    ]
 
 
 def _c_number(value: float | None, absent: str = "0.0") -> str:
@@ -86,15 +117,22 @@ def _row(v: Variable, slot: int) -> str:
 
 def header(model: Model, token: str) -> str:
     """axis.h: sizes, the table of variables, the compiled-in start values, and the physics."""
-    shown, slots = variables(model), _slots(model)
+    shown, slots, outside = variables(model), _slots(model), solver(model)
+    behind = [(d.name, f"rate_{d.state.name}") for d in outside.derivatives]
+    behind += [(m.name, m.name) for m in outside.margins]
     constants: dict[str, object] = {
         "TOKEN": f'"{token}"',
-        "VARIABLES": len(shown),
+        "VARIABLES": len(shown) + len(behind),
         "SLOTS": len(slots),
         "STATES": len(STATES),
         "LONGEST_STEP": repr(model.longest_step),
         "ROUND": repr(ROUND),
-        "EXCHANGE": 0,
+        "EXCHANGE": int(bool(behind)),
+        "CONTINUOUS_STATES": len(outside.derivatives),
+        "INDICATORS": len(outside.margins),
+        "TIMED": int("load_change" in model.structure),
+        "EVENT_TIME": slots.get("load_time", 0),
+        "CLOCK_REFERENCE": len(shown) + len(behind),
         "COMMAND": slots[model.input_name],
         "FIRST_PARAMETER": 1,
         "FIRST_KNOWN": slots[next(iter(KNOWN))],
@@ -121,13 +159,17 @@ def header(model: Model, token: str) -> str:
             "",
             "static const Variable variables[VARIABLES] = {",
             *(_row(v, slots[v.name]) for v in shown),
+            *(f'    {{"{name}", {slots[place]}, -HUGE_VAL, HUGE_VAL, NEVER}},' for name, place in behind),
             "};",
             "",
             "static const double compiled_in[SLOTS] = {",
             *(f"    {_c_number(starts.get(name))}, /* {name} */" for name in slots),
             "};",
             "",
+            *_solver_tables(model),
+            "",
             c.write(model.structure),
+            exchange.write(model.structure) if behind else "",
         ]
     )
 
@@ -136,7 +178,8 @@ def identity(model: Model) -> Identity:
     """Name and token: the same for models that differ in parameter values only, so that these can be set."""
     shown = [replace(v, start=None) for v in variables(model)]
     plumbing = [_plumbing(name) for name in ("instance.h", "fmi2.c", "fmi3.c")]
-    content = "\n".join([c.write(model.structure), repr(shown), *plumbing])
+    outside = exchange.write(model.structure) if exchange.offered(model.structure) else ""
+    content = "\n".join([c.write(model.structure), outside, repr(shown), *plumbing])
     digest = hashlib.sha256(content.encode()).hexdigest()
     token = "-".join((digest[:8], digest[8:12], digest[12:16], digest[16:20], digest[20:32]))
     return Identity(f"axis_{digest[:8]}", f"{{{token}}}", "axis")
@@ -299,9 +342,9 @@ def export_native(model: Model, out: Path, fmi: int = 2, force: bool = False) ->
             (folder / name).write_text(content, encoding="utf-8")
         binaries = _binaries(model, fmi, folder)
     if fmi == 2:
-        files = {"modelDescription.xml": description.fmi2(model, who, _SOURCES[fmi])}
+        files = {"modelDescription.xml": description.fmi2(model, who, _SOURCES[fmi], solver(model))}
     else:
-        files = {"modelDescription.xml": description.fmi3(model, who)}
+        files = {"modelDescription.xml": description.fmi3(model, who, solver(model))}
         files["sources/buildDescription.xml"] = description.fmi3_build(who, _SOURCES[fmi])
     files |= {f"sources/{name}": content.encode() for name, content in c_files.items()}
     files["resources/model.toml"] = dumps(model).encode()

@@ -179,40 +179,60 @@ NEVER_PENDING(fmi2GetStringStatus, fmi2String)
 
 /* ---- model exchange ---- */
 
-fmi2Status fmi2EnterEventMode(fmi2Component c) { return missing(c, "fmi2EnterEventMode"); }
-fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { return missing(c, "fmi2EnterContinuousTimeMode"); }
+fmi2Status fmi2EnterEventMode(fmi2Component c)
+{
+    return status(change_mode(c, CONTINUOUS, EVENTS, "fmi2EnterEventMode"));
+}
+
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c)
+{
+    return status(change_mode(c, EVENTS, CONTINUOUS, "fmi2EnterContinuousTimeMode"));
+}
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
 {
-    (void)info;
-    return missing(c, "fmi2NewDiscreteStates");
+    int changed, timed;
+    double next;
+    int good = update(c, &changed, &timed, &next);
+    info->newDiscreteStatesNeeded = fmi2False;
+    info->terminateSimulation = fmi2False;
+    info->nominalsOfContinuousStatesChanged = fmi2False;
+    info->valuesOfContinuousStatesChanged = changed ? fmi2True : fmi2False;
+    info->nextEventTimeDefined = timed ? fmi2True : fmi2False;
+    info->nextEventTime = next;
+    return status(good);
 }
 
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean keeps, fmi2Boolean *event, fmi2Boolean *end_now)
 {
-    (void)keeps, (void)event, (void)end_now;
-    return missing(c, "fmi2CompletedIntegratorStep");
+    (void)c, (void)keeps;
+    *event = *end_now = fmi2False;
+    return fmi2OK;
 }
 
-fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time)
-{
-    (void)time;
-    return missing(c, "fmi2SetTime");
-}
+fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) { return status(set_time(c, time)); }
 
 fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n)
 {
-    (void)x, (void)n;
-    return missing(c, "fmi2SetContinuousStates");
+    return status(set_continuous(c, x, n));
 }
 
-#define NO_CONTINUOUS_STATES(function)                                                                                \
-    fmi2Status function(fmi2Component c, fmi2Real values[], size_t n)                                                  \
-    {                                                                                                                  \
-        (void)values, (void)n;                                                                                         \
-        return missing(c, #function);                                                                                  \
-    }
-NO_CONTINUOUS_STATES(fmi2GetDerivatives)
-NO_CONTINUOUS_STATES(fmi2GetEventIndicators)
-NO_CONTINUOUS_STATES(fmi2GetContinuousStates)
-NO_CONTINUOUS_STATES(fmi2GetNominalsOfContinuousStates)
+fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real values[], size_t n)
+{
+    return status(get_listed(c, derivative, CONTINUOUS_STATES, values, n));
+}
+
+fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real values[], size_t n)
+{
+    return status(get_listed(c, indicator, INDICATORS, values, n));
+}
+
+fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real values[], size_t n)
+{
+    return status(get_listed(c, continuous, CONTINUOUS_STATES, values, n));
+}
+
+fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real values[], size_t n)
+{
+    return status(get_nominals(c, values, n));
+}

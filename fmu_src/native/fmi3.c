@@ -80,7 +80,7 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t 
     if (m != n) return status(refuse(c, "%u values were asked for of %u variables", (unsigned)m, (unsigned)n));
     int good = 1;
     for (size_t i = 0; i < n; ++i) {
-        if (vr[i] == VARIABLES) value[i] = ((const Instance *)c)->state.now;
+        if (vr[i] == CLOCK_REFERENCE) value[i] = ((const Instance *)c)->state.now;
         else good = get_value(c, vr[i], &value[i]) && good;
     }
     return status(good);
@@ -247,56 +247,77 @@ fmi3Status fmi3EnterStepMode(fmi3Instance c) { return missing(c, "fmi3EnterStepM
 
 /* ---- model exchange ---- */
 
-fmi3Status fmi3EnterEventMode(fmi3Instance c) { return missing(c, "fmi3EnterEventMode"); }
-fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) { return missing(c, "fmi3EnterContinuousTimeMode"); }
-fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c) { return missing(c, "fmi3EvaluateDiscreteStates"); }
+fmi3Status fmi3EnterEventMode(fmi3Instance c)
+{
+    return status(change_mode(c, CONTINUOUS, EVENTS, "fmi3EnterEventMode"));
+}
+
+fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c)
+{
+    return status(change_mode(c, EVENTS, CONTINUOUS, "fmi3EnterContinuousTimeMode"));
+}
+
+fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c)
+{
+    (void)c;
+    return fmi3OK;
+}
 
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *end_now, fmi3Boolean *nominals,
                                     fmi3Boolean *values, fmi3Boolean *timed, fmi3Float64 *next)
 {
-    (void)again, (void)end_now, (void)nominals, (void)values, (void)timed, (void)next;
-    return missing(c, "fmi3UpdateDiscreteStates");
+    int changed, planned;
+    int good = update(c, &changed, &planned, next);
+    *again = *end_now = *nominals = fmi3False;
+    *values = changed != 0;
+    *timed = planned != 0;
+    return status(good);
 }
 
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean keeps, fmi3Boolean *event, fmi3Boolean *end_now)
 {
-    (void)keeps, (void)event, (void)end_now;
-    return missing(c, "fmi3CompletedIntegratorStep");
+    (void)c, (void)keeps;
+    *event = *end_now = fmi3False;
+    return fmi3OK;
 }
 
-fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time)
-{
-    (void)time;
-    return missing(c, "fmi3SetTime");
-}
+fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time) { return status(set_time(c, time)); }
 
 fmi3Status fmi3SetContinuousStates(fmi3Instance c, const fmi3Float64 x[], size_t n)
 {
-    (void)x, (void)n;
-    return missing(c, "fmi3SetContinuousStates");
+    return status(set_continuous(c, x, n));
 }
 
-#define NO_CONTINUOUS_STATES(function)                                                                                 \
-    fmi3Status function(fmi3Instance c, fmi3Float64 values[], size_t n)                                                \
-    {                                                                                                                  \
-        (void)values, (void)n;                                                                                         \
-        return missing(c, #function);                                                                                  \
-    }
-NO_CONTINUOUS_STATES(fmi3GetContinuousStateDerivatives)
-NO_CONTINUOUS_STATES(fmi3GetEventIndicators)
-NO_CONTINUOUS_STATES(fmi3GetContinuousStates)
-NO_CONTINUOUS_STATES(fmi3GetNominalsOfContinuousStates)
+fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 values[], size_t n)
+{
+    return status(get_listed(c, derivative, CONTINUOUS_STATES, values, n));
+}
+
+fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 values[], size_t n)
+{
+    return status(get_listed(c, indicator, INDICATORS, values, n));
+}
+
+fmi3Status fmi3GetContinuousStates(fmi3Instance c, fmi3Float64 values[], size_t n)
+{
+    return status(get_listed(c, continuous, CONTINUOUS_STATES, values, n));
+}
+
+fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 values[], size_t n)
+{
+    return status(get_nominals(c, values, n));
+}
 
 fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *n)
 {
     (void)c;
-    *n = 0;
+    *n = INDICATORS;
     return fmi3OK;
 }
 
 fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *n)
 {
     (void)c;
-    *n = 0;
+    *n = CONTINUOUS_STATES;
     return fmi3OK;
 }

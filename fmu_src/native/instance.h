@@ -36,7 +36,7 @@ typedef enum { MADE, INITIALIZING, RUNNING, EVENTS, CONTINUOUS, ENDED } Mode;
 /* Everything that a saved state holds. */
 typedef struct {
     double slot[SLOTS];
-    double now; /* the importer's time */
+    double begin, now; /* the importer's time at the start, and now */
     Mode mode;
     int exchange; /* instantiated for model exchange */
     int stale; /* a value was set since the last refresh */
@@ -69,15 +69,38 @@ static int refuse(const Instance *me, const char *format, ...)
 
 /* ---- values ---- */
 
-/* What follows from other values: the state before the start, and what the sensor reads. */
+#if EXCHANGE
+/* Under an outside solver: modes as the values ask for, then rates and margins. */
+static int settle_modes(State *s)
+{
+    int changed = 0;
+    /* A body that comes to rest may hold the other: two bodies need a few rounds. */
+    for (int i = 0; i < 8; ++i) {
+        if (settle(s->slot + FIRST_STATE, s->slot + FIRST_PARAMETER, s->slot + FIRST_KNOWN, s->slot[COMMAND]) == 0.0)
+            break;
+        changed = 1;
+    }
+    return changed;
+}
+#endif
+
+/* What follows from other values: the state before the start, rates, and what the sensor reads. */
 static void refresh(State *s)
 {
     double *x = s->slot + FIRST_STATE;
-    if (s->mode == MADE || s->mode == INITIALIZING) {
+    int before = s->mode == MADE || s->mode == INITIALIZING;
+    if (before) {
         for (size_t i = 0; i < STATES; ++i) x[i] = 0.0;
         x[POSITION] = s->slot[POSITION_START];
         x[VELOCITY] = x[MOTOR_VELOCITY] = s->slot[VELOCITY_START];
     }
+#if EXCHANGE
+    if (s->exchange) {
+        x[TIME] = s->now - s->begin;
+        if (before) settle_modes(s);
+        rates(x, s->slot + FIRST_PARAMETER, s->slot + FIRST_KNOWN, s->slot[COMMAND]);
+    }
+#endif
     s->slot[MEASURED] = x[POSITION] + sensor(x[POSITION], s->slot + FIRST_PARAMETER);
     s->stale = 0;
 }
@@ -258,7 +281,7 @@ static int begin_at(Instance *me, double time)
 {
     if (!isfinite(time)) return refuse(me, "the start time is not a finite number");
     if (me->state.mode != MADE) return refuse(me, "the start time was given after initialization");
-    me->state.now = time;
+    me->state.begin = me->state.now = time;
     return 1;
 }
 
@@ -353,7 +376,8 @@ static int move(Instance *me, double span)
 static int communicate(Instance *me, double from, double span)
 {
     State *s = &me->state;
-    if (s->mode != RUNNING || s->exchange) return refuse(me, "a step was asked for before the end of initialization");
+    if (s->exchange) return refuse(me, "this instance is for model exchange: it takes no communication steps");
+    if (s->mode != RUNNING) return refuse(me, "a step was asked for before the end of initialization or after the end");
     if (!isfinite(from) || !isfinite(span)) return refuse(me, "the time or the length of a step is not a finite number");
     if (span < 0.0) return refuse(me, "a step of %.9g s goes back in time: steps are positive", span);
     double slack = 1e-9 * fmax(1.0, fabs(s->now));
@@ -367,6 +391,65 @@ static int communicate(Instance *me, double from, double span)
     for (size_t i = 0; i < STATES; ++i)
         if (!isfinite(s->slot[FIRST_STATE + i]))
             return refuse(me, "the motion is no longer finite at %.9g s: check the parameters", s->now);
+    return 1;
+}
+
+/* ---- model exchange ---- */
+
+static int set_time(Instance *me, double time)
+{
+    if (!me->state.exchange) return refuse(me, "the time is set in model exchange only");
+    if (!isfinite(time)) return refuse(me, "the time is not a finite number");
+    me->state.now = time;
+    me->state.stale = 1;
+    return 1;
+}
+
+/* Copy `n` of the values behind FIRST_STATE that `which` lists. */
+static int get_listed(Instance *me, const size_t *which, size_t listed, double *values, size_t n)
+{
+    if (!me->state.exchange) return refuse(me, "this instance is for co-simulation: it has no continuous states");
+    if (n != listed) return refuse(me, "there are %u values, not %u", (unsigned)listed, (unsigned)n);
+    if (me->state.stale) refresh(&me->state);
+    for (size_t i = 0; i < n; ++i) values[i] = me->state.slot[FIRST_STATE + which[i]];
+    return 1;
+}
+
+static int set_continuous(Instance *me, const double *values, size_t n)
+{
+    if (!me->state.exchange) return refuse(me, "this instance is for co-simulation: it has no continuous states");
+    if (n != CONTINUOUS_STATES)
+        return refuse(me, "there are %u continuous states, not %u", (unsigned)CONTINUOUS_STATES, (unsigned)n);
+    for (size_t i = 0; i < n; ++i)
+        if (!isfinite(values[i])) return refuse(me, "a continuous state is not a finite number");
+    for (size_t i = 0; i < n; ++i) me->state.slot[FIRST_STATE + continuous[i]] = values[i];
+    me->state.stale = 1;
+    return 1;
+}
+
+static int get_nominals(Instance *me, double *values, size_t n)
+{
+    if (n != CONTINUOUS_STATES) return refuse(me, "there are %u continuous states", (unsigned)CONTINUOUS_STATES);
+    for (size_t i = 0; i < n; ++i) values[i] = 1.0;
+    return 1;
+}
+
+/* The end of an event: 1 in `changed` where states jumped; the next event that is known by its time. */
+static int update(Instance *me, int *changed, int *timed, double *next)
+{
+    State *s = &me->state;
+    *changed = *timed = 0;
+    *next = 0.0;
+    if (!s->exchange || s->mode != EVENTS) return refuse(me, "discrete states were updated outside the event mode");
+#if EXCHANGE
+    refresh(s);
+    *changed = settle_modes(s);
+    s->stale = 1;
+#if TIMED
+    *next = s->begin + s->slot[EVENT_TIME];
+    *timed = *next > s->now;
+#endif
+#endif
     return 1;
 }
 

@@ -28,6 +28,15 @@ static const fmi2CallbackFunctions callbacks = {hear, calloc, free, NULL, NULL};
 #define RESET fmi2Reset
 #define END fmi2Terminate
 #define FREE fmi2FreeInstance
+#define NEW_EXCHANGE(token, resources) fmi2Instantiate("axis", fmi2ModelExchange, token, resources, &callbacks, 0, 1)
+#define UPDATE(a) fmi2NewDiscreteStates(a, &(fmi2EventInfo){0})
+#define TO_EVENTS fmi2EnterEventMode
+#define TO_CONTINUOUS fmi2EnterContinuousTimeMode
+#define SET_TIME fmi2SetTime
+#define SET_STATES fmi2SetContinuousStates
+#define GET_STATES fmi2GetContinuousStates
+#define RATES fmi2GetDerivatives
+#define MARGINS fmi2GetEventIndicators
 #else
 #include "fmi3.c"
 typedef fmi3Instance Axis;
@@ -56,6 +65,16 @@ static double reached;
 #define RESET fmi3Reset
 #define END fmi3Terminate
 #define FREE fmi3FreeInstance
+#define NEW_EXCHANGE(token, resources) fmi3InstantiateModelExchange("axis", token, resources, 0, 1, NULL, hear)
+#define FLAG (&(fmi3Boolean){0})
+#define UPDATE(a) fmi3UpdateDiscreteStates(a, FLAG, FLAG, FLAG, FLAG, FLAG, &(double){0})
+#define TO_EVENTS fmi3EnterEventMode
+#define TO_CONTINUOUS fmi3EnterContinuousTimeMode
+#define SET_TIME fmi3SetTime
+#define SET_STATES fmi3SetContinuousStates
+#define GET_STATES fmi3GetContinuousStates
+#define RATES fmi3GetContinuousStateDerivatives
+#define MARGINS fmi3GetEventIndicators
 #endif
 
 static int failures;
@@ -79,6 +98,60 @@ static double run(Axis a, double *t, double h, int steps)
     GOOD(GET(a, 1, &position));
     expect(isfinite(position), "the position is finite");
     return position;
+}
+
+/* The calls of an outside solver, in and out of turn, with states of any size. */
+static void solve(const char *resources)
+{
+    double x[32] = {0.0}, rate[32], margin[32];
+    Axis a = NEW_EXCHANGE(TOKEN, resources);
+#if EXCHANGE
+    if (a == NULL) exit(2);
+    BAD(TO_CONTINUOUS(a));
+    BAD(UPDATE(a));
+    GOOD(BEGIN(a, 0.0));
+    GOOD(RATES(a, rate, CONTINUOUS_STATES));
+    GOOD(READY(a));
+    BAD(STEP(a, 0.0, 0.002));
+    GOOD(UPDATE(a));
+    GOOD(TO_CONTINUOUS(a));
+    BAD(UPDATE(a));
+    BAD(SET_TIME(a, NAN));
+    BAD(GET_STATES(a, x, CONTINUOUS_STATES + 1));
+    BAD(MARGINS(a, margin, INDICATORS + 1));
+    double t = 0.0, most[] = {1e-3, 1.0, 1e3, 1e300};
+    for (int i = 0; i < 4000; ++i) {
+        t += 1e-3;
+        GOOD(SET_TIME(a, t));
+        GOOD(SET(a, 0, 80.0 * sin(3.0 * t)));
+        GOOD(GET_STATES(a, x, CONTINUOUS_STATES));
+        GOOD(RATES(a, rate, CONTINUOUS_STATES));
+        for (size_t j = 0; j < CONTINUOUS_STATES; ++j) x[j] += 1e-3 * rate[j];
+        if (i % 500 == 499)
+            for (size_t j = 0; j < CONTINUOUS_STATES; ++j) x[j] = (j % 2 ? -1.0 : 1.0) * most[i / 500 % 4];
+        for (size_t j = 0; j < CONTINUOUS_STATES; ++j)
+            if (!isfinite(x[j])) x[j] = 0.0;
+        GOOD(SET_STATES(a, x, CONTINUOUS_STATES));
+        GOOD(MARGINS(a, margin, INDICATORS));
+        if (i % 7 == 0) {
+            GOOD(TO_EVENTS(a));
+            GOOD(UPDATE(a));
+            GOOD(TO_CONTINUOUS(a));
+        }
+    }
+    x[0] = NAN;
+    BAD(SET_STATES(a, x, CONTINUOUS_STATES));
+    GOOD(END(a));
+    FREE(a);
+#else
+    (void)x, (void)rate, (void)margin;
+    expect(a == NULL, "model exchange is refused where it is not offered");
+    a = NEW(TOKEN, resources);
+    BAD(RATES(a, rate, 1));
+    BAD(SET_STATES(a, x, 1));
+    BAD(SET_TIME(a, 0.0));
+    FREE(a);
+#endif
 }
 
 int main(int argc, char **argv)
@@ -177,5 +250,6 @@ int main(int argc, char **argv)
     BAD(SET(a, 0, 1.0));
     FREE(a);
     FREE(NULL);
+    solve(argc > 1 ? argv[1] : NULL);
     return failures;
 }
