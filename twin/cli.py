@@ -1,0 +1,548 @@
+"""The command line: what other people's scripts call.
+
+Exit codes: 0 done, 1 a check that was asked for did not hold, 2 bad input with one line on stderr, 3 a fault of ours.
+Heavy modules are imported by the command that needs them, so that `twin --help` is there at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from twin.errors import BadInput
+
+if TYPE_CHECKING:
+    from twin.model import Model
+    from twin.recording import Recording, Rig
+
+Progress = Callable[[str, float], None]
+Answer = Mapping[str, Any]
+
+
+# ---- talking to the user ----
+
+
+class _Parser(argparse.ArgumentParser):
+    """Wrong arguments are bad input too: one line."""
+
+    def error(self, message: str) -> NoReturn:
+        raise BadInput(f"{message.replace(chr(10), ' ')}; see {self.prog} --help")
+
+
+def _check_command(name: str, names: Sequence[str]) -> None:
+    if name not in names and not name.startswith("-"):
+        close = get_close_matches(name, names, 1)
+        meant = f"did you mean {close[0]}?" if close else f"there are {', '.join(names)}"
+        raise BadInput(f"there is no command {name!r}; {meant}")
+
+
+@contextmanager
+def _progress(args: argparse.Namespace) -> Iterator[Progress]:
+    """A bar on stderr once the work takes over a second; gone when it is done."""
+    if args.quiet:
+        yield lambda sentence, share: None
+        return
+    from tqdm import tqdm
+
+    tty = sys.stderr.isatty()
+    shape = "{desc} {bar} {percentage:3.0f} % {elapsed}"
+    bar = tqdm(total=100, delay=1e9, leave=False, file=sys.stderr, ncols=None if tty else 90, bar_format=shape)
+    done = threading.Event()
+
+    def draw() -> None:
+        # The work says little while it computes: a bar whose clock stands still looks like one that hangs.
+        if not done.wait(1.0):
+            bar.refresh()
+            while not done.wait(0.25 if tty else 30.0):
+                bar.refresh()
+
+    drawing = threading.Thread(target=draw, daemon=True)
+    drawing.start()
+
+    def tell(sentence: str, share: float) -> None:
+        bar.set_description_str(sentence, refresh=False)
+        bar.n = max(100.0 * share, bar.n)
+
+    try:
+        yield tell
+    finally:
+        done.set()
+        drawing.join()
+        bar.close()
+
+
+def _answer(args: argparse.Namespace, said: Sequence[str], answer: Answer) -> None:
+    """The sentences for people, and the JSON for programs; with `--json -` the sentences go to stderr."""
+    from twin.files import json_text, put
+
+    if args.json == "-":
+        sys.stdout.write(json_text(answer))
+    elif args.json is not None:
+        put(Path(args.json), json_text(answer))
+    if not args.quiet:
+        print("\n".join(said), file=sys.stderr if args.json == "-" else sys.stdout)
+
+
+def _check_outputs(args: argparse.Namespace, *outputs: Path | None) -> None:
+    """Before any work: every file that will be written may be written, and they are different files."""
+    from twin.files import check_free
+
+    named = [p for p in (*outputs, None if args.json in (None, "-") else Path(args.json)) if p is not None]
+    for path in named:
+        check_free(path, getattr(args, "force", False))
+    doubled = [str(p) for i, p in enumerate(named) if p.absolute() in [q.absolute() for q in named[:i]]]
+    if doubled:
+        raise BadInput(f"{doubled[0]} is named for two different outputs: give two names")
+
+
+def _assumptions(rig: Rig) -> list[str]:
+    return [f"Assumed, for want of a rig file: {a}" for a in rig.assumed]
+
+
+def _load(args: argparse.Namespace) -> tuple[list[Recording], Rig]:
+    from twin.recording import load
+
+    return load(args.log, args.rig)
+
+
+def _parameters(model: Model) -> dict[str, Any]:
+    found = {}
+    for p in model.structure.parameters:
+        entry: dict[str, Any] = {
+            "value": model.values[p.name], "std": model.std(p.name), "unit": model.unit(p.name), "meaning": p.meaning
+        }  # fmt: skip
+        if p.name in model.intervals:
+            entry["interval"] = list(model.intervals[p.name])
+        if p.name in model.notes:
+            entry["note"] = model.notes[p.name]
+        found[p.name] = entry
+    return found
+
+
+def _parameter_lines(model: Model) -> list[str]:
+    from twin.phrases import measure
+
+    width = max(len(p.name) for p in model.structure.parameters)
+    lines = []
+    for p in model.structure.parameters:
+        value = measure(model.values[p.name], model.std(p.name), model.unit(p.name))
+        note = f"  ({model.notes[p.name]})" if p.name in model.notes else ""
+        lines.append(f"  {p.name:<{width}}  {value}{note}")
+    return lines
+
+
+# ---- commands ----
+
+
+def _run(args: argparse.Namespace) -> int:
+    from twin import finding, phrases, pipeline
+
+    pipeline.check_folder(args.out, args.force)
+    _check_outputs(args)
+    with _progress(args) as tell:
+        story = pipeline.run(
+            args.log, args.rig, args.out, args.more, args.fewer, args.bandwidth, args.force, tell
+        )
+    d = story.diagnosis
+    files = {name: str(args.out / name) for name in pipeline.FILES if (args.out / name).exists()}
+    says = phrases.sentences(d, story.tracking)
+    answer = {
+        "format": "twin-run/1",
+        "out": str(args.out),
+        "files": files,
+        "says": list(says),
+        "diagnosis": finding.to_json(d, files.get("next_experiment.csv", "")),
+        "parameters": {"before": _parameters(d.before), "after": _parameters(d.after)},
+        "fmu": [vars(c) for c in story.checks],
+        "tracking": None if story.tracking is None else _tracking(story.tracking),
+        "seconds": dict(story.seconds),
+    }
+    said = [*_assumptions(story.rig), *says, *story.remarks]
+    said.append(f"Everything is in {args.out / 'report.html'}; the twin is {args.out / 'improved.fmu'}.")
+    _answer(args, said, answer)
+    return 0
+
+
+def _tracking(tracking: Any) -> dict[str, Any]:
+    from twin.cosim import to_json
+
+    return to_json(tracking)
+
+
+def _identify(args: argparse.Namespace) -> int:
+    _check_outputs(args, args.out)
+    from twin import files, identify, model, phrases, pipeline
+
+    with _progress(args) as tell:
+        tell("reading the recording", 0.0)
+        recordings, rig = _load(args)
+        structure = pipeline.first_structure(rig, args.more, args.fewer)
+        if args.method == "joint":
+            pipeline.compile_kernel(tell)
+        found = identify.identify(recordings, structure, args.method, progress=tell)
+        found = pipeline.with_largest_command(found, recordings)
+    files.put(args.out, model.dumps(found))
+    said = [
+        *_assumptions(rig),
+        phrases.recordings_sentence(recordings),
+        *(f.says for r in recordings for f in r.faults),
+        f"{args.out}: {found.structure}, by the {args.method} method:",
+        *_parameter_lines(found),
+    ]
+    answer = {
+        "format": "twin-identify/1",
+        "model": str(args.out),
+        "method": args.method,
+        "effects": list(found.structure.ids),
+        "parameters": _parameters(found),
+        "recording_faults": [vars(f) for r in recordings for f in r.faults],
+        "assumed": list(rig.assumed),
+    }
+    _answer(args, said, answer)
+    return 0
+
+
+def _export(args: argparse.Namespace) -> int:
+    _check_outputs(args, args.out)
+    from twin import model, native, package
+
+    found = model.read(args.model)
+    if args.target == "native":
+        with _progress(args) as tell:
+            tell("compiling the FMU", 0.0)
+            native.export_native(found, args.out, args.fmi, args.force)
+    elif args.fmi == 3:
+        raise BadInput("--target python writes FMI 2 only, through pythonfmu: add --target native for FMI 3")
+    else:
+        package.export(found, args.out, args.force)
+    _answer(
+        args,
+        [f"{args.out}: FMI {args.fmi} co-simulation ({args.target}) of {found.structure}."],
+        {"format": "twin-export/1", "fmu": str(args.out), "target": args.target, "fmi": args.fmi},
+    )
+    return 0
+
+
+def _update(args: argparse.Namespace) -> int:
+    _check_outputs(args, None if args.out is None or args.out == args.fmu else args.out)
+    from twin import model, package
+
+    old, new = package.read_model(args.fmu), model.read(args.model)
+    out = package.update(args.fmu, new, args.out)
+    changed = {
+        n: [old.values[n], v] for n, v in new.values.items() if n in old.values and old.values[n] != v
+    }
+    said = [f"{out}: {len(changed)} of {len(new.values)} parameters changed."]
+    _answer(args, said, {"format": "twin-update/1", "fmu": str(out), "changed": changed})
+    return 0
+
+
+def _replays(args: argparse.Namespace) -> tuple[list[Recording], Rig, list[Any]]:
+    from twin import package, pipeline
+
+    with _progress(args) as tell:
+        tell("reading the recording", 0.0)
+        recordings, rig = _load(args)
+        ran = []
+        for i, r in enumerate(recordings):
+            tell(f"simulating {r.name}", i / len(recordings))
+            ran.append(package.replay(args.fmu, pipeline.driven(r)))
+    return recordings, rig, ran
+
+
+def _fits(recordings: Sequence[Recording], ran: Sequence[Any]) -> list[dict[str, Any]]:
+    return [
+        {"recording": r.name, "role": r.role, "rmse": s.rmse(r), "nrmse_percent": s.nrmse_percent(r),
+         "unit": r.output_unit}
+        for r, s in zip(recordings, ran, strict=True)
+    ]  # fmt: skip
+
+
+def _fit_lines(fits: Sequence[Mapping[str, Any]]) -> list[str]:
+    from twin.phrases import number, unit_text
+
+    return [
+        f"{f['recording']}: RMSE {number(f['rmse'])} {unit_text(f['unit'])}, "
+        f"{number(f['nrmse_percent'])} % of the recorded range."
+        for f in fits
+    ]
+
+
+def _simulate(args: argparse.Namespace) -> int:
+    _check_outputs(args, args.out)
+    recordings, rig, ran = _replays(args)
+    fits = _fits(recordings, ran)
+    if args.out is not None:
+        from twin.files import put
+
+        put(args.out, _simulation_csv(recordings, ran))
+    answer = {"format": "twin-simulate/1", "fmu": str(args.fmu), "file": args.out and str(args.out), "fit": fits}
+    _answer(args, [*_assumptions(rig), *_fit_lines(fits)], answer)
+    return 0
+
+
+def _simulation_csv(recordings: Sequence[Recording], ran: Sequence[Any]) -> str:
+    """One row per stamp; with several recordings, their name in a first column."""
+    import csv
+    import io
+
+    several = len(recordings) > 1
+    out = io.StringIO()
+    rows = csv.writer(out, lineterminator="\n")
+    names = ["time", "input", "recorded", "position_measured", "velocity"]
+    rows.writerow(["recording", *names] if several else names)
+    for r, s in zip(recordings, ran, strict=True):
+        columns = (r.time, r.input, r.output, s.position_measured, s.velocity)
+        for row in zip(*(c.tolist() for c in columns), strict=True):
+            cells = ["" if v != v else f"{v:.10g}" for v in row]
+            rows.writerow([r.name, *cells] if several else cells)
+    return out.getvalue()
+
+
+def _check(args: argparse.Namespace) -> int:
+    if not args.max_nrmse > 0.0:
+        raise BadInput(f"--max-nrmse is {args.max_nrmse:g}: give a percentage above 0")
+    _check_outputs(args)
+    recordings, rig, ran = _replays(args)
+    fits = _fits(recordings, ran)
+    bad = [f for f in fits if not f["nrmse_percent"] <= args.max_nrmse]
+    verdict = (
+        f"The twin fits: no recording is above {args.max_nrmse:g} %."
+        if not bad
+        else f"The twin does not fit: {len(bad)} of {len(fits)} above {args.max_nrmse:g} %."
+    )
+    answer = {"format": "twin-check/1", "holds": not bad, "max_nrmse_percent": args.max_nrmse, "fit": fits}
+    _answer(args, [*_assumptions(rig), *_fit_lines(bad or fits), verdict], answer)
+    return 1 if bad else 0
+
+
+def _diagnose(args: argparse.Namespace) -> int:
+    experiment_file = args.out.with_name(f"{args.out.stem}_next_experiment.csv")
+    _check_outputs(args, args.out, args.report, experiment_file)
+    from twin import extend, files, finding, model, phrases, pipeline
+
+    with _progress(args) as tell:
+        tell("reading the recording", 0.0)
+        given = None if args.model is None else model.read(args.model)
+        recordings, rig = _load(args)
+        structure = pipeline.first_structure(rig, args.more, args.fewer)
+        if given is not None:
+            structure = given.structure.with_(*args.more).without(*args.fewer)
+        pipeline.compile_kernel(tell)
+        d = extend.diagnose(
+            recordings, structure, {} if given is None else pipeline.held_of(given),
+            progress=lambda s, x: tell(s, 0.05 + 0.9 * x),
+        )  # fmt: skip
+        page = ""
+        if args.report is not None:
+            from twin import report
+
+            tell("writing the report", 0.97)
+            page = report.html(report.Story(d, rig))
+    experiment = pipeline.experiment_csv(d.experiment, d.after.input_name)
+    files.put(args.out, model.dumps(pipeline.with_largest_command(d.after, recordings)))
+    if experiment:
+        files.put(experiment_file, experiment)
+    if args.report is not None:
+        files.put(args.report, page)
+    said = [*_assumptions(rig), *phrases.sentences(d), *d.remarks]
+    said += [f"{a} and {b} cannot be told apart on this recording; this would: {how}." for a, b, how in d.undecided]
+    if experiment:
+        said.append(f"Next: {d.experiment.why} The input to play is in {experiment_file}.")
+    _answer(args, said, finding.to_json(d, str(experiment_file) if experiment else ""))
+    return 0
+
+
+def _control(args: argparse.Namespace) -> int:
+    _check_outputs(args, args.out)
+    from twin import control, controller, files, model
+
+    made = control.design(model.read(args.model), args.bandwidth, args.limit)
+    files.put(args.out, controller.dumps(made))
+    margins = vars(made.margins)
+    answer = {
+        "format": "twin-control/1", "controller": str(args.out), "bandwidth": made.bandwidth, "margins": margins,
+        "limit_cycle": None if made.limit_cycle is None else vars(made.limit_cycle), "remarks": list(made.remarks),
+    }  # fmt: skip
+    _answer(args, [f"{args.out}: {made!r}.", *made.remarks], answer)
+    return 0
+
+
+def _cosim(args: argparse.Namespace) -> int:
+    _check_outputs(args, args.out)
+    from twin import controller, cosim, files, reference
+
+    made = controller.read(args.controller)
+    wanted = None
+    if args.reference in reference.KINDS:
+        wanted = reference.make_reference(args.reference, made)
+    elif args.reference is not None:
+        wanted = reference.read_reference(Path(args.reference), made.sample_time)
+    with _progress(args) as tell:
+        tell("closing the loop around the FMU", 0.0)
+        ran = cosim.run(args.fmu, made, wanted)
+    if args.out is not None:
+        columns = (ran.time, ran.reference, ran.position, ran.input)
+        lines = [",".join(f"{v:.10g}" for v in row) for row in zip(*(c.tolist() for c in columns), strict=True)]
+        files.put(args.out, "\n".join(["time,reference,position,input", *lines]) + "\n")
+    _answer(args, ran.says, cosim.to_json(ran))
+    return 0
+
+
+# ---- arguments ----
+
+
+def _percentage(text: str) -> float:
+    try:
+        return float(text.rstrip(" %"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a percentage") from None
+
+
+def _common() -> _Parser:
+    common = _Parser(add_help=False)
+    common.add_argument("--quiet", action="store_true", help="no progress bar and no sentences")
+    common.add_argument("--json", metavar="FILE", help="write the result as JSON; - for stdout")
+    return common
+
+
+def _add_log(command: argparse.ArgumentParser, *name: str, **more: Any) -> None:
+    said = "recordings, or a manifest that lists them"
+    command.add_argument(*(name or ("log",)), nargs="+", type=Path, metavar="LOG", help=said, **more)
+    said = "what the columns are; default: rig.toml beside LOG, else by their names"
+    command.add_argument("--rig", type=Path, help=said)
+
+
+def _add_structure(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--with", dest="more", action="append", default=[], metavar="EFFECT", help="add an effect to the first model"
+    )
+    command.add_argument(
+        "--without", dest="fewer", action="append", default=[], metavar="EFFECT", help="leave one out of it"
+    )
+
+
+def _add_out(command: argparse.ArgumentParser, metavar: str, required: bool = True, text: str = "") -> None:
+    command.add_argument("--out", type=Path, required=required, metavar=metavar, help=text or "what is written")
+    command.add_argument("--force", action="store_true", help="overwrite what is there")
+
+
+def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
+    """The parser, and the names of the commands."""
+    parser = _Parser(
+        prog="twin",
+        description="From one recording of a motor-driven axis to its digital twin, "
+        "and to the physics that its model left out.",
+    )
+    parser.add_argument("--version", action="store_true", help="the version, and no more")
+    made: dict[str, argparse.ArgumentParser] = {}
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=_Parser)
+
+    def add(name: str, does: Callable[[argparse.Namespace], int], says: str) -> argparse.ArgumentParser:
+        made[name] = commands.add_parser(name, parents=[_common()], help=says, description=says)
+        made[name].set_defaults(does=does)
+        return made[name]
+
+    run = add("run", _run, "the main job: identify, export, check, diagnose, control; ends with DIR/report.html")
+    _add_log(run)
+    _add_structure(run)
+    _add_out(run, "DIR", text="the folder for everything that is made")
+    run.add_argument("--bandwidth", type=float, metavar="HZ", help="of the controller; default: what the axis allows")
+
+    identify = add("identify", _identify, "parameters with standard errors")
+    _add_log(identify)
+    _add_structure(identify)
+    _add_out(identify, "MODEL.toml")
+    identify.add_argument(
+        "--method", choices=("joint", "two-stage"), default="joint",
+        help="joint: maximum likelihood on everything (default); two-stage: steady states, then transients",
+    )  # fmt: skip
+
+    export = add("export", _export, "the model as an FMU")
+    export.add_argument("model", type=Path, metavar="MODEL.toml")
+    _add_out(export, "ARM.fmu")
+    export.add_argument(
+        "--target", choices=("python", "native"), default="python",
+        help="python: through pythonfmu (default); native: compiled, needs no Python in the host",
+    )  # fmt: skip
+    export.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="FMI version; 3 with --target native only")
+
+    update = add("update", _update, "write parameters into an existing FMU, in place or as --out")
+    update.add_argument("fmu", type=Path, metavar="ARM.fmu")
+    update.add_argument("--from", dest="model", type=Path, required=True, metavar="MODEL.toml")
+    _add_out(update, "NEW.fmu", required=False, text="leave ARM.fmu as it is and write this one")
+
+    simulate = add("simulate", _simulate, "replay the recorded input through the FMU in FMPy, and compare")
+    simulate.add_argument("fmu", type=Path, metavar="ARM.fmu")
+    _add_log(simulate, "--log", required=True)
+    _add_out(simulate, "CSV", required=False, text="recorded and simulated at every stamp")
+
+    diagnose = add("diagnose", _diagnose, "locate, name and model what a first model leaves out")
+    _add_log(diagnose)
+    _add_structure(diagnose)
+    diagnose.add_argument("--model", type=Path, metavar="MODEL.toml", help="the first model; default: the base effects")
+    _add_out(diagnose, "IMPROVED.toml")
+    diagnose.add_argument("--report", type=Path, metavar="HTML", help="the report, one self-contained file")
+
+    control = add("control", _control, "a feedback-linearising controller")
+    control.add_argument("model", type=Path, metavar="MODEL.toml")
+    _add_out(control, "CONTROLLER.toml")
+    control.add_argument("--bandwidth", type=float, metavar="HZ", help="default: what the axis allows")
+    control.add_argument("--limit", type=float, help="largest command; default: the drive's, or the largest recorded")
+
+    cosim = add("cosim", _cosim, "the closed loop in FMPy co-simulation")
+    cosim.add_argument("fmu", type=Path, metavar="ARM.fmu")
+    cosim.add_argument("controller", type=Path, metavar="CONTROLLER.toml")
+    cosim.add_argument("--reference", metavar="CSV", help="a CSV with time and position, or minimum-jerk, sine, step")
+    _add_out(cosim, "CSV", required=False, text="reference, position and input at every sample")
+
+    check = add("check", _check, "for CI: exit 1 when the twin no longer fits")
+    check.add_argument("fmu", type=Path, metavar="ARM.fmu")
+    _add_log(check, "--log", required=True)
+    check.add_argument("--max-nrmse", type=_percentage, required=True, metavar="PERCENT", help="of the recorded range")
+
+    return parser, list(made)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; the exit code."""
+    try:
+        parser, names = _parser()
+        given = list(sys.argv[1:] if argv is None else argv)
+        _check_command(given[0] if given else "-", names)
+        args = parser.parse_args(given)
+        if args.version:
+            from importlib.metadata import version
+
+            print(f"twin {version('twin')}")
+            return 0
+        if args.command is None:
+            parser.error("name a command, such as run")
+        return int(args.does(args))
+    except BadInput as error:
+        print(f"twin: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("twin: stopped; nothing is half-written", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115, PTH123
+        return 0
+    except Exception as error:
+        print(f"twin: internal error, {type(error).__name__}: {' '.join(str(error).split())}; "
+              "set TWIN_DEBUG=1 for the traceback", file=sys.stderr)  # fmt: skip
+        if os.environ.get("TWIN_DEBUG"):
+            traceback.print_exc()
+        return 3
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,58 @@
+"""Files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twin.errors import BadInput
+
+
+def check_free(out: Path, force: bool) -> None:
+    """Raises BadInput where a file may not or cannot be written."""
+    if out.is_dir():
+        raise BadInput(f"{out} is a folder: give the name of a file")
+    if out.exists() and not force:
+        raise BadInput(f"{out} is there already: choose another name, or overwrite it with --force")
+    if not out.parent.is_dir():
+        raise BadInput(f"{out.parent} is not a folder: make it first, or choose another place")
+
+
+def put(out: Path, text: str) -> None:
+    """The file appears whole or not at all. Raises BadInput."""
+    try:
+        handle, name = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name[:50]}-")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
+                stream.write(text)
+            umask = os.umask(0)
+            os.umask(umask)
+            Path(name).chmod(0o666 & ~umask)
+            Path(name).replace(out)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise BadInput(f"{out} cannot be written ({error.strerror}): choose another place") from None
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON can hold it: numbers that are not finite become null."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return int(value) if isinstance(value, np.integer) else value
+
+
+def json_text(value: Any) -> str:
+    return json.dumps(plain(value), indent=1, ensure_ascii=False) + "\n"

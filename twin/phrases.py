@@ -1,0 +1,145 @@
+"""How numbers and verdicts are put into words; the command line and the report say the same."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from twin.cosim import Tracking
+from twin.effects.catalogue import EFFECTS
+from twin.finding import Diagnosis, Finding, Fitness
+from twin.recording import Recording
+
+_NICE = {"N*m": "N·m", "kg*m^2": "kg·m²", "kg*m": "kg·m", "^2": "²", "^3": "³"}
+
+
+def unit_text(unit: str) -> str:
+    """A unit as it is printed; nothing for the unit one."""
+    if unit == "1":
+        return ""
+    for plain, nice in _NICE.items():
+        unit = unit.replace(plain, nice)
+    return unit
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number with so many digits that count, without an exponent where it reads well without."""
+    if not math.isfinite(value):
+        return "–"
+    if value == 0.0:
+        return "0"
+    size = math.floor(math.log10(abs(value)))
+    if -4 <= size < 6:
+        text = f"{value:.{max(digits - 1 - size, 0)}f}"
+        return text.replace("-", "−")
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    raised = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"{mantissa}·10{raised}".replace("-", "−")
+
+
+def measure(value: float, std: float = math.nan, unit: str = "1") -> str:
+    """Value, standard error to two digits, unit: 3.102 ± 0.021 rad/s²."""
+    shown = unit_text(unit)
+    tail = "" if not shown else ("\u2009%" if shown == "%" else f" {shown}")
+    if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
+        return number(value, 4) + tail
+    place = 1 - math.floor(math.log10(std))
+    if not -2 <= place <= 7 or abs(value) >= 1e6:
+        return f"{number(value)} ± {number(std, 2)}{tail}"
+    kept = max(place, 0)
+    return f"{value:.{kept}f} ± {std:.{kept}f}{tail}".replace("-", "−")
+
+
+def percent(share: float) -> str:
+    """A share of one as a percentage that claims no certainty it does not have."""
+    if not math.isfinite(share):
+        return "–"
+    if share > 0.99:
+        return "over 99\u2009%"
+    if share < 0.01:
+        return "under 1\u2009%"
+    return f"{100.0 * share:.0f}\u2009%"
+
+
+def listed(words: Sequence[str]) -> str:
+    """a, b and c."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
+
+
+def title(effect: str) -> str:
+    return EFFECTS[effect].title if effect in EFFECTS else effect.replace("_", " ")
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """The verdict in one sentence."""
+    found = listed([title(f.id) for f in diagnosis.findings])
+    if diagnosis.verdict == "explained":
+        return f"The first model left out {found}; with it, nothing but noise is left."
+    if diagnosis.verdict == "nothing_missing":
+        return "Nothing is missing: the first model already explains this recording."
+    if diagnosis.verdict == "partly_explained":
+        return f"The first model left out {found}, and something else that has no name here yet."
+    where = listed(list(diagnosis.depends_on))
+    tail = f", and it goes with {where}" if where else ""
+    return f"Something is missing that none of the known effects describes{tail}."
+
+
+def fit_change(before: Fitness, after: Fitness, unit: str, where: str) -> str:
+    """How the free-running error changed."""
+    if not math.isfinite(before.rmse):
+        return ""
+    change = (
+        f"from {number(before.nrmse_percent)}\u2009% to {number(after.nrmse_percent)}\u2009% of the recorded range "
+        f"({number(before.rmse)} to {number(after.rmse)} {unit_text(unit)})"
+    )
+    moved = "falls" if after.rmse < 0.98 * before.rmse else "goes" if after.rmse < 1.02 * before.rmse else "rises"
+    return f"{where} the free-running simulation's error {moved} {change}."
+
+
+def held_out_part(diagnosis: Diagnosis) -> str:
+    """What the hold-out is, to begin a sentence with."""
+    held = [t for t in diagnosis.traces if t.role == "holdout"]
+    if not held:
+        return "On the training data"
+    span = sum(float(t.time[-1] - t.time[0]) for t in held)
+    of = f" in {len(held)} recordings" if len(held) > 1 else ""
+    return f"On {number(span)} s{of} that no fit has seen"
+
+
+def fit_sentence(diagnosis: Diagnosis) -> str:
+    """The change of the error on what was held out, or on the training data where nothing was."""
+    unit = diagnosis.recordings[0].output_unit
+    for role in ("holdout", "train"):
+        both = diagnosis.fit.get(role, {})
+        if "before" in both and math.isfinite(both["before"].rmse):
+            where = held_out_part(diagnosis) if role == "holdout" else "On the training data"
+            return fit_change(both["before"], both["after"], unit, where)
+    return "There were no readings to compare a simulation with."
+
+
+def finding_sentence(finding: Finding) -> str:
+    """An effect, how sure, and what it is."""
+    return f"{finding.says} (probability {percent(finding.probability)})"
+
+
+def sentences(diagnosis: Diagnosis, tracking: Tracking | None = None) -> tuple[str, ...]:
+    """What somebody who reads only three sentences should know."""
+    found = " ".join(f.says for f in diagnosis.findings)
+    said = [" ".join(filter(None, [headline(diagnosis), found])), fit_sentence(diagnosis)]
+    if tracking is not None:
+        said.append(f"The controller made from the model was tried against the FMU: {_lower(tracking.says[0])}")
+    return tuple(said)
+
+
+def _lower(text: str) -> str:
+    return text[:1].lower() + text[1:]
+
+
+def recordings_sentence(recordings: Sequence[Recording]) -> str:
+    """What was recorded."""
+    first = recordings[0]
+    if len(recordings) == 1:
+        return f"{first.name}: {first!r}."
+    span = sum(float(r.time[-1]) for r in recordings)
+    held = sum(r.role == "holdout" for r in recordings)
+    return f"{len(recordings)} recordings of {number(span)} s in all, {held} of them held out; the first: {first!r}."
