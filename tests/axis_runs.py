@@ -6,6 +6,7 @@ import numpy as np
 
 from twin import kernel
 from twin.axis import Structure
+from twin.effects.catalogue import EFFECTS, UNKNOWN
 
 #: Sizes that a small geared axis may have (duty in percent, angles in rad).
 SANE: dict[str, tuple[float, float]] = {
@@ -56,6 +57,15 @@ SANE: dict[str, tuple[float, float]] = {
     "disturbance": (0.5, 5.0),
     "disturbance_frequency": (0.5, 20.0),
     "disturbance_phase": (-3.0, 3.0),
+    **{p.name: (-1.0, 1.0) for i in UNKNOWN for p in EFFECTS[i].parameters},
+    "unknown_position_from": (-1.0, -0.5),
+    "unknown_position_span": (1.0, 2.0),
+    "unknown_velocity_from": (-3.0, -2.0),
+    "unknown_velocity_span": (4.0, 6.0),
+    "unknown_input_from": (-60.0, -40.0),
+    "unknown_input_span": (80.0, 120.0),
+    "unknown_time_from": (-0.2, 0.0),
+    "unknown_time_span": (0.3, 1.0),
 }
 
 PAYLOAD = {"payload": 0.004, "moment": 0.02}

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.axis import EVERYTHING, KNOWN, STATES, Structure
+from twin.effects.catalogue import UNKNOWN
 from twin.effects.effect import SLOTS
 from twin.lanes import WIDTH
 from twin.writers import drivers, tangent
@@ -34,6 +35,11 @@ _LOOPS = (drivers.predict, drivers.predict_t, drivers.riccati)
 
 #: Index of every parameter in the kernel's vector; the switches of the effects and of the slots follow them.
 INDEX: dict[str, int] = {p.name: i for i, p in enumerate(EVERYTHING.parameters)}
+
+#: The shapes without a name take as long to compile as all that has one and are rarely asked for: a kernel of their
+#: own holds them, with the same numbering.
+NAMED = EVERYTHING.without(*UNKNOWN)
+_UNKNOWN = [len(INDEX) + EVERYTHING.ids.index(i) for i in UNKNOWN]
 
 
 def cache_folder() -> Path:
@@ -54,16 +60,16 @@ class _Index(ast.NodeTransformer):
         return node
 
 
-def kernel_text() -> str:
-    """The whole source that is compiled."""
+def kernel_text(laws: Structure = EVERYTHING) -> str:
+    """The whole source that is compiled, with the laws of these effects."""
     numbers = numbering(EVERYTHING, True)
     loops = "\n".join(textwrap.dedent(inspect.getsource(f)) for f in _LOOPS)
     text = "\n\n\n".join(
         [
             "import numpy as np\nfrom math import cos, exp, sin, sqrt, tanh\nfrom numba import njit\n"
             "from twin.lanes import put, row, zero",
-            ast.unparse(module(EVERYTHING, True)),
-            tangent.write(),
+            ast.unparse(module(EVERYTHING, True, laws)),
+            tangent.write(laws),
             ast.unparse(resolve(ast.unparse(_Index().visit(ast.parse(loops))), numbers)),
         ]
     )
@@ -71,9 +77,9 @@ def kernel_text() -> str:
 
 
 @cache
-def compiled() -> ModuleType:
+def compiled(laws: Structure = EVERYTHING) -> ModuleType:
     """The kernel's module; compiles on the first call on a machine."""
-    text = kernel_text()
+    text = kernel_text(laws)
     name = "twin_kernel_" + hashlib.sha256(text.encode()).hexdigest()[:16]
     folder = cache_folder()
     try:
@@ -95,6 +101,11 @@ def compiled() -> ModuleType:
     sys.modules[name] = loaded
     spec.loader.exec_module(loaded)
     return loaded
+
+
+def _serving(p: FloatArray) -> ModuleType:
+    """The kernel that has the laws which `p` switches on."""
+    return compiled(EVERYTHING if p[_UNKNOWN].any() else NAMED)
 
 
 def vector(structure: Structure, values: dict[str, float]) -> FloatArray:
@@ -140,7 +151,7 @@ def predict(
     """What the sensor should read (N,), and the states (N, 7) or (0, 7). `x` (7,) is left as it was."""
     predicted = np.empty(len(drive.time))
     states = np.empty((len(drive.time) if keep_states else 0, len(STATES)))
-    compiled().predict(
+    _serving(p).predict(
         drive.time, drive.command.copy() if drive.closed else drive.command, drive.measured, gains, drive.speed,
         drive.closed, drive.law, x.copy(), p, drive.known, drive.longest, predicted, states,
     )  # fmt: skip
@@ -165,7 +176,7 @@ def predict_with_slopes(
     predicted, slopes = np.empty(count), np.empty((count, blocks, WIDTH))
     for block in range(blocks):
         columns = slice(block * WIDTH, (block + 1) * WIDTH)
-        compiled().predict_t(
+        _serving(p).predict_t(
             drive.time, drive.command.copy() if drive.closed else drive.command, drive.measured, gains, drive.speed,
             drive.closed, drive.law, x.copy(), start[:, columns].copy(), p, seed[:, columns].copy(), drive.known,
             drive.longest, predicted, slopes, block, np.zeros((count if drive.closed else 1, WIDTH)),
@@ -178,7 +189,7 @@ def kalman(
 ) -> tuple[FloatArray, FloatArray]:
     """Gains (N, 2) and innovation variances (N,), in units of the reading's variance."""
     gains, spread = np.empty((len(drive.time), 2)), np.empty(len(drive.time))
-    compiled().riccati(
+    compiled(NAMED).riccati(
         drive.time, drive.measured, damping, density, drive.speed, np.array(start), gains, spread
     )
     return gains, spread

@@ -31,11 +31,17 @@ from twin.effects import (
     thermal_fade,
     tooth_compliance,
     torque_ripple,
+    unknown_angle,
+    unknown_input,
+    unknown_position,
+    unknown_time,
+    unknown_velocity,
     viscous_friction,
 )
 from twin.effects.effect import Effect
 
-#: Every effect by id. Drive laws apply in this order: the command is faded, sags, is clipped, then loses its dead-band.
+#: Every effect by id. Drive laws apply in this order: the command is faded, sags, is clipped, bent, then
+#: loses its dead-band.
 EFFECTS: Mapping[str, Effect] = {
     page.EFFECT.id: page.EFFECT
     for page in (
@@ -44,6 +50,7 @@ EFFECTS: Mapping[str, Effect] = {
         thermal_fade,
         supply_sag,
         drive_saturation,
+        unknown_input,
         dead_band,
         backlash,
         tooth_compliance,
@@ -66,6 +73,10 @@ EFFECTS: Mapping[str, Effect] = {
         load_change,
         encoder_eccentricity,
         periodic_disturbance,
+        unknown_position,
+        unknown_angle,
+        unknown_velocity,
+        unknown_time,
     )
 }
 
@@ -74,3 +85,6 @@ BASE: tuple[str, ...] = ("inertia", "viscous_friction", "dead_band", "backlash")
 
 #: What may be found missing.
 CANDIDATES: tuple[str, ...] = tuple(e.id for e in EFFECTS.values() if e.screen is not None)
+
+#: Shapes without a name, for what no candidate describes. Never among the candidates: they would fit anything.
+UNKNOWN: tuple[str, ...] = tuple(i for i in EFFECTS if i.startswith("unknown_"))

@@ -123,7 +123,7 @@ def laws_by_slot(structure: Structure) -> dict[str, list[str]]:
 
 
 def law_text(structure: Structure) -> str:
-    """The functions drive, load, drag, grip, mass and sensor, each effect behind `has.x`."""
+    """The functions drive, load, drag, grip, mass and sensor of these effects, each behind `has.x`."""
     lines: list[str] = []
     for slot, ids in laws_by_slot(structure).items():
         arguments = SLOTS[slot][0]
@@ -149,9 +149,13 @@ def stepper_text() -> str:
     return "\n".join(textwrap.dedent(inspect.getsource(f)) for f in STEPPER)
 
 
-def module(structure: Structure, switched: bool = False) -> ast.Module:
-    """Laws and stepper of a structure as one syntax tree; functions take (…, p) with p a flat sequence."""
-    return resolve(law_text(structure) + "\n" + stepper_text(), numbering(structure, switched))
+def module(structure: Structure, switched: bool = False, laws: Structure | None = None) -> ast.Module:
+    """Laws and stepper of a structure as one syntax tree; functions take (…, p) with p a flat sequence.
+
+    `laws`, where given, are those of the structure's effects whose laws are written out: the numbering stays.
+    """
+    written = structure if laws is None else laws
+    return resolve(law_text(written) + "\n" + stepper_text(), numbering(structure, switched))
 
 
 def write(structure: Structure) -> str:

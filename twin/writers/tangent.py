@@ -13,7 +13,7 @@ from collections.abc import Iterable
 
 import sympy
 
-from twin.axis import EVERYTHING
+from twin.axis import EVERYTHING, Structure
 from twin.effects.effect import SLOTS
 from twin.equations import argument, trace
 from twin.writers.python import code, laws_by_slot, module, numbering, resolve
@@ -197,12 +197,14 @@ def _law(slot: str, ids: list[str], numbers: dict[str, int]) -> str:
     return "\n".join(lines)
 
 
-def write() -> str:
-    """Text of the switched kernel's derivative: `step_t(command, d_command, h, d_h, x, xd, p, pd, k)`, one per law
-    and one per function of the stepper; each returns its value and the derivative of that.
+def write(written: Structure = EVERYTHING) -> str:
+    """Text of the switched kernel's derivative, with the laws of the effects in `written`.
+
+    `step_t(command, d_command, h, d_h, x, xd, p, pd, k)`, one per law and one per function of the stepper; each
+    returns its value and the derivative of that.
     """
     numbers = numbering(EVERYTHING, True)
-    laws = laws_by_slot(EVERYTHING)
+    laws = laws_by_slot(written)
     functions = [
         f for f in module(EVERYTHING, True).body if isinstance(f, ast.FunctionDef) and f.name not in laws
     ]
