@@ -262,7 +262,7 @@ def test_python_numba_and_c_agree(ids, tmp_path):
     native.go.argtypes = [numbers, numbers, numbers, ctypes.c_double, ctypes.c_double]
     plain: dict = {}
     exec(python.write(structure), plain)
-    compiled = kernel.compiled()
+    compiled = kernel.compiled(kernel.EVERYTHING)
     for p, x, k, u in random_cases(structure, 600, 1):
         in_c, in_numba, in_python = x.copy(), x.copy(), list(x)
         switched = kernel.vector(structure, dict(zip((q.name for q in structure.parameters), p, strict=True)))

@@ -77,7 +77,7 @@ def kernel_text(laws: Structure = EVERYTHING) -> str:
 
 
 @cache
-def compiled(laws: Structure = EVERYTHING) -> ModuleType:
+def compiled(laws: Structure = NAMED) -> ModuleType:
     """The kernel's module; compiles on the first call on a machine."""
     text = kernel_text(laws)
     name = "twin_kernel_" + hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -105,7 +105,7 @@ def compiled(laws: Structure = EVERYTHING) -> ModuleType:
 
 def _serving(p: FloatArray) -> ModuleType:
     """The kernel that has the laws which `p` switches on."""
-    return compiled(EVERYTHING if p[_UNKNOWN].any() else NAMED)
+    return compiled(EVERYTHING) if p[_UNKNOWN].any() else compiled()
 
 
 def vector(structure: Structure, values: dict[str, float]) -> FloatArray:
@@ -189,7 +189,7 @@ def kalman(
 ) -> tuple[FloatArray, FloatArray]:
     """Gains (N, 2) and innovation variances (N,), in units of the reading's variance."""
     gains, spread = np.empty((len(drive.time), 2)), np.empty(len(drive.time))
-    compiled(NAMED).riccati(
+    compiled().riccati(
         drive.time, drive.measured, damping, density, drive.speed, np.array(start), gains, spread
     )
     return gains, spread
