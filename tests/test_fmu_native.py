@@ -138,7 +138,7 @@ def test_same_numbers_as_the_kernel(local: dict, tmp_path: Path, name: str, fmi:
 @pytest.mark.parametrize("fmi", FMI)
 @pytest.mark.parametrize("held", [2, 5, 7])
 def test_any_pattern_of_steps(local: dict, tmp_path: Path, held: int, fmi: int) -> None:
-    u = command(10241, held)
+    u = command(5121, held)
     model = model_of(RIGID)
     expected = by_kernel(model, u, 0.3, -1.0)
     host = Host(local["rigid", fmi], tmp_path / "x")
