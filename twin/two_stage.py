@@ -543,6 +543,8 @@ def to_model(result: TwoStage, recordings: Sequence[Recording]) -> Model:
     }  # fmt: skip
     rows = [NAMES.index(n) for n in ("c", "b", "dead_band_forward", "dead_band_reverse")]
     first = recordings[0]
+    known = {k: v for k, v in known_quantities(first).items() if v}
+    known |= {"inertia": first.known["inertia"]} if "inertia" in first.known else {}
     return Model(
         structure=structure,
         values=values,
@@ -557,11 +559,11 @@ def to_model(result: TwoStage, recordings: Sequence[Recording]) -> Model:
         },
         axis_unit=first.output_unit.removesuffix("/s"),
         input_unit=first.input_unit,
-        sample_time=float(np.median(np.diff(first.time))),
+        sample_time=float(np.round(np.median(np.diff(first.time)), 9)),
         resolution=first.resolution,
         reads_speed=first.is_speed,
         reading_std=first.resolution / math.sqrt(12.0),
-        known=known_quantities(first),
+        known=known,
         provenance={
             "method": f"two-stage, {result.form}",
             "recordings": ", ".join(r.name for r in recordings),
