@@ -48,20 +48,24 @@ def _worth(before: Point, after: Point, explained: float) -> bool:
     return gain > compare.LEAST + compare.FRACTION * explained
 
 
-def _prune(cases: Sequence[Case], point: Point, held: Mapping[str, float], keep: Structure) -> Point:
-    """Drop effects that the others have made superfluous."""
-    while len(point.structure.named) > 1:
-        tried = []
-        for effect in point.structure.named:
-            if effect in keep:
-                continue
-            smaller = point.structure.without(effect, *_orphans(point.structure, effect))
-            tried.append(explain.fine_fit(cases, smaller, [point.values], held, point.density))
-        best = min(tried, key=compare.criterion, default=point)
-        if best is point or compare.criterion(best) > compare.criterion(point) + 2.0 * compare.PRICE:
-            return point
-        point = best
-    return point
+def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
+    """The structure less one effect each, with and without what that effect brought along."""
+    out = []
+    for effect in structure.named:
+        if effect not in keep:
+            brought = _orphans(structure, effect)
+            out += [structure.without(effect)] if brought else []
+            out += [structure.without(effect, *brought)]
+    return out
+
+
+def _prune(
+    cases: Sequence[Case], first: Point, point: Point, held: Mapping[str, float], rivals: Sequence[Structure]
+) -> Point:
+    """The best of the smaller structures for as long as what they lack does not earn its place."""
+    tried = [explain.fine_fit(cases, s, [point.values], held, point.density) for s in rivals]
+    fair = [q for q in tried if not _worth(q, point, first.deviance - point.deviance)]
+    return min(fair, key=compare.criterion, default=point)
 
 
 def _orphans(structure: Structure, effect: str) -> tuple[str, ...]:
@@ -100,15 +104,23 @@ def search(
             fine = this.before
             break
         fine = winner.point
+        kept = this.before.structure.with_(*EFFECTS[winner.added[0]].includes)
+        if kept.named != this.before.structure.named:
+            # What a specialised friction adds to plain friction must earn its place by itself.
+            fine = _prune(cases, first_point, fine, held, [kept])
         rigid = fine.structure.without("tooth_compliance")
         again = identify.coarse(cases, rigid, fine.values, held)
-        named = next(h for h in hypotheses if h.added == winner.added)
-        rough = min((again, named.point), key=lambda p: p.deviance)
+        named = [h.point for h in hypotheses if h.point.structure == rigid]
+        rough = min((again, *named), key=lambda p: p.deviance)
         if rough is again:
             retried = explain.fine_fit(cases, rigid, [{**fine.values, **again.values}], held, fine.density)
             if retried.deviance < fine.deviance:
                 fine = retried
-    fine = _prune(cases, fine, held, first)
+    while len(fine.structure.named) > 1:
+        less = _prune(cases, first_point, fine, held, _smaller(fine.structure, first))
+        if less is fine:
+            break
+        fine = less
     return Search(first_point, fine, tuple(rounds), tuple(cases))
 
 
