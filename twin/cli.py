@@ -88,7 +88,11 @@ def _answer(args: argparse.Namespace, said: Sequence[str], answer: Answer) -> No
     elif args.json is not None:
         put(Path(args.json), json_text(answer))
     if not args.quiet:
-        print("\n".join(said), file=sys.stderr if args.json == "-" else sys.stdout)
+        # Consoles that know only a few characters get plain ones, and never an error.
+        text = "\n".join(said).translate({ord("\u202f"): " ", ord("−"): "-"})
+        stream = sys.stderr if args.json == "-" else sys.stdout
+        coding = stream.encoding or "ascii"
+        print(text.encode(coding, "replace").decode(coding), file=stream)
 
 
 def _check_outputs(args: argparse.Namespace, *outputs: Path | None) -> None:

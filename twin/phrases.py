@@ -7,9 +7,14 @@ from collections.abc import Sequence
 
 from twin.cosim import Tracking
 from twin.effects.catalogue import EFFECTS
-from twin.finding import Diagnosis, Finding, Fitness
+from twin.finding import Diagnosis, Fitness
 from twin.recording import Recording
 
+#: The variables that a misfit may go with, in plain words.
+VARIABLES = {
+    "position": "position", "velocity": "speed", "acceleration": "acceleration", "input": "the command",
+    "time": "time", "direction": "the direction of motion", "load": "the load",
+}  # fmt: skip
 _NICE = {"N*m": "N·m", "kg*m^2": "kg·m²", "kg*m": "kg·m", "^2": "²", "^3": "³"}
 
 
@@ -20,6 +25,17 @@ def unit_text(unit: str) -> str:
     for plain, nice in _NICE.items():
         unit = unit.replace(plain, nice)
     return unit
+
+
+def pretty(text: str) -> str:
+    """A sentence with its units as they are printed."""
+    for plain, nice in _NICE.items():
+        text = text.replace(plain, nice)
+    return text
+
+
+def capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -40,7 +56,7 @@ def number(value: float, digits: int = 3) -> str:
 def measure(value: float, std: float = math.nan, unit: str = "1") -> str:
     """Value, standard error to two digits, unit: 3.102 ± 0.021 rad/s²."""
     shown = unit_text(unit)
-    tail = "" if not shown else ("\u2009%" if shown == "%" else f" {shown}")
+    tail = "" if not shown else ("\u202f%" if shown == "%" else f" {shown}")
     if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
         return number(value, 4) + tail
     place = 1 - math.floor(math.log10(std))
@@ -55,10 +71,10 @@ def percent(share: float) -> str:
     if not math.isfinite(share):
         return "–"
     if share > 0.99:
-        return "over 99\u2009%"
+        return "over 99\u202f%"
     if share < 0.01:
-        return "under 1\u2009%"
-    return f"{100.0 * share:.0f}\u2009%"
+        return "under 1\u202f%"
+    return f"{100.0 * share:.0f}\u202f%"
 
 
 def listed(words: Sequence[str]) -> str:
@@ -70,16 +86,22 @@ def title(effect: str) -> str:
     return EFFECTS[effect].title if effect in EFFECTS else effect.replace("_", " ")
 
 
+def variables(diagnosis: Diagnosis) -> str:
+    """What the misfit goes with."""
+    return listed([VARIABLES.get(v, v) for v in diagnosis.depends_on])
+
+
 def headline(diagnosis: Diagnosis) -> str:
     """The verdict in one sentence."""
     found = listed([title(f.id) for f in diagnosis.findings])
     if diagnosis.verdict == "explained":
-        return f"The first model left out {found}; with it, nothing but noise is left."
+        pronoun = "it" if len(diagnosis.findings) == 1 else "them"
+        return f"The first model left out {found}; with {pronoun}, the model explains the recording."
     if diagnosis.verdict == "nothing_missing":
         return "Nothing is missing: the first model already explains this recording."
     if diagnosis.verdict == "partly_explained":
         return f"The first model left out {found}, and something else that has no name here yet."
-    where = listed(list(diagnosis.depends_on))
+    where = variables(diagnosis)
     tail = f", and it goes with {where}" if where else ""
     return f"Something is missing that none of the known effects describes{tail}."
 
@@ -89,7 +111,7 @@ def fit_change(before: Fitness, after: Fitness, unit: str, where: str) -> str:
     if not math.isfinite(before.rmse):
         return ""
     change = (
-        f"from {number(before.nrmse_percent)}\u2009% to {number(after.nrmse_percent)}\u2009% of the recorded range "
+        f"from {number(before.nrmse_percent)}\u202f% to {number(after.nrmse_percent)}\u202f% of the recorded range "
         f"({number(before.rmse)} to {number(after.rmse)} {unit_text(unit)})"
     )
     moved = "falls" if after.rmse < 0.98 * before.rmse else "goes" if after.rmse < 1.02 * before.rmse else "rises"
@@ -115,11 +137,6 @@ def fit_sentence(diagnosis: Diagnosis) -> str:
             where = held_out_part(diagnosis) if role == "holdout" else "On the training data"
             return fit_change(both["before"], both["after"], unit, where)
     return "There were no readings to compare a simulation with."
-
-
-def finding_sentence(finding: Finding) -> str:
-    """An effect, how sure, and what it is."""
-    return f"{finding.says} (probability {percent(finding.probability)})"
 
 
 def sentences(diagnosis: Diagnosis, tracking: Tracking | None = None) -> tuple[str, ...]:

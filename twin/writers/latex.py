@@ -229,7 +229,8 @@ def law(effect_id: str, axis_unit: str = "rad", command: str = "u") -> str:
     effect = EFFECTS[effect_id]
     if effect.law is None:
         x = coordinate(axis_unit)
-        return (effect.equation or "").replace(r"\theta", x if x.startswith("\\") else f" {x}")
+        text = re.sub(r"\\le(?![a-z])", r"\\leq", effect.equation or "")
+        return text.replace(r"\theta", x if x.startswith("\\") else f" {x}")
     traced = trace(effect_id)
     if len(traced.parameters) > _MOST:
         read = [s for s in traced.arguments if s in traced.expression.free_symbols]
