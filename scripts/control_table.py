@@ -126,9 +126,7 @@ def table(bandwidth: float, seed: int) -> dict[str, tuple[Tracking, Tracking]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bandwidth", type=float, default=2.5, help="Hz, of every controller")
     parser.add_argument("--seed", type=int, default=1, help="draws the excitation")
     given = parser.parse_args()

@@ -1,36 +1,279 @@
-"""The closed loop: model in process and FMU in FMPy."""
+"""The closed loop: model in process and FMU in FMPy, references, hunting, uncertainty."""
 
 from __future__ import annotations
 
+import json
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-
 from test_control import axis
+
+from twin.archive import open_fmu
 from twin.control import design
-from twin.cosim import make_reference, run, simulate
+from twin.controller_fmu import export_controller
+from twin.cosim import find_limit_cycle, make_reference, run, simulate, to_json
 from twin.errors import BadInput
 from twin.package import export
+from twin.reference import read_reference
+from twin.robust import draw, robustness, trial
+from twin.running import running
+
+HARD = {"gravity_gain": 3.0, "coulomb_friction": 1.0, "delay": 0.005, "lag_time": 0.01}
+EFFECTS = ("gravity", "coulomb_friction", "input_delay", "motor_lag")
+PLANTED = {
+    "constant_offset": {"offset": 2.0},
+    "coulomb_friction": {"coulomb_friction": 2.0},
+    "encoder_eccentricity": {"eccentricity": 0.02},
+    "friction_asymmetry": {"coulomb_friction": 2.0, "friction_asymmetry": 0.8},
+    "gravity": {"gravity_gain": 6.0, "gravity_angle": 0.5},
+    "input_delay": {"delay": 0.02},
+    "load_dependent_friction": {"load_friction": 0.4},
+    "motor_lag": {"lag_time": 0.05},
+    "position_dependent_friction": {"coulomb_friction": 2.0, "friction_variation": 1.0},
+    "quadratic_drag": {"quadratic_drag": 0.3},
+    "spring": {"spring_stiffness": 5.0, "spring_rest": 0.3},
+    "stribeck_friction": {"coulomb_friction": 1.0, "stribeck_friction": 1.0, "stribeck_velocity": 0.2},
+    "supply_sag": {"supply_sag": 0.003},
+    "thermal_fade": {"fade": 0.3, "fade_time": 5.0},
+    "torque_ripple": {"ripple_torque": 1.5, "ripple_order": 12.0},
+}
 
 
-def test_fmu_and_model_give_the_same_loop(tmp_path: Path) -> None:
-    model = axis(
-        "gravity", "coulomb_friction", "input_delay", gravity_gain=3.0, coulomb_friction=1.0, delay=0.005
-    )
+@pytest.mark.parametrize("effect", PLANTED)
+def test_what_is_modelled_is_cancelled(effect: str) -> None:
+    """Whatever acts, the link follows within three encoder counts on a swing of half a radian."""
+    model = axis(effect, **PLANTED[effect])
+    made = design(model, 2.4)
+    position, _ = trial(model, made, reference := make_reference("sine", made))
+    assert np.max(np.abs(position - reference.position)) < 3 * model.resolution
+
+
+@pytest.mark.parametrize("effect", ["gravity", "coulomb_friction", "torque_ripple", "motor_lag"])
+def test_what_is_not_modelled_is_felt(effect: str) -> None:
+    """The null case of the above: the same controller without the effect tracks several times worse."""
+    model = axis(effect, **PLANTED[effect])
+    blind, aware = design(axis(), 2.4), design(model, 2.4)
+    errors = []
+    for made in (blind, aware):
+        position, _ = trial(model, made, reference := make_reference("sine", blind))
+        errors.append(float(np.sqrt(np.mean((position - reference.position) ** 2))))
+    assert errors[0] > 3 * errors[1]
+
+
+def test_fmu_and_model_and_compiled_kernel_give_the_same_loop(tmp_path: Path) -> None:
+    model = axis(*EFFECTS, **HARD, backlash_gap=0.01)
     made = design(model)
     reference = make_reference("minimum-jerk", made)
-    fmu = export(model, tmp_path / "axis.fmu")
-    in_process, in_fmpy = simulate(model, made, reference), run(fmu, made, reference)
+    in_process = simulate(model, made, reference)
+    in_fmpy = run(export(model, tmp_path / "axis.fmu"), made, reference)
+    compiled, _ = trial(model, made, reference)
     np.testing.assert_allclose(in_fmpy.position, in_process.position, atol=1e-9)
-    assert in_fmpy.rms < 0.002
+    np.testing.assert_allclose(compiled, in_process.position, atol=1e-9)
 
 
-def test_fast_reference_is_refused() -> None:
+def test_controller_fmu_beside_the_plant_fmu_gives_the_same_loop(tmp_path: Path) -> None:
+    model = axis(*EFFECTS, **HARD)
+    made = design(model)
+    reference = make_reference("minimum-jerk", made, duration=4.0)
+    expected = simulate(model, made, reference)
+    plant, ruler = export(model, tmp_path / "axis.fmu"), export_controller(made, tmp_path / "controller.fmu")
+    inputs = ["reference", "reference_velocity", "reference_acceleration", "position_measured"]
+    position = []
+    with (
+        running(open_fmu(ruler), inputs, ["duty"]) as left,
+        running(open_fmu(plant), ["duty"], ["position", "position_measured"]) as right,
+    ):
+        left.start({})
+        right.start({})
+        columns = (reference.time, reference.position, reference.velocity, reference.acceleration)
+        for time, *wanted in zip(*(c.tolist() for c in columns), strict=True):
+            (place, measured), (command,) = right.read(), left.read()
+            position.append(place)
+            # Half steps of the controller change nothing: it keeps its own ticks.
+            left.step(time, 0.5 * made.sample_time, [*wanted, measured])
+            left.step(time + 0.5 * made.sample_time, 0.5 * made.sample_time, [*wanted, measured])
+            right.step(time, made.sample_time, [command])
+    np.testing.assert_allclose(position, expected.position, atol=1e-9)
+
+
+def test_controller_fmu_is_valid_and_refuses_to_be_overwritten(tmp_path: Path) -> None:
+    from fmpy.validation import validate_fmu
+
+    made = design(axis(), 2.0)
+    fmu = export_controller(made, tmp_path / "controller.fmu")
+    assert validate_fmu(str(fmu)) == []
+    with pytest.raises(BadInput, match="already"):
+        export_controller(made, fmu)
+
+
+@pytest.mark.parametrize("gap", [0.005, 0.02])
+@pytest.mark.parametrize("share", [0.25, 0.5])
+def test_hunting_comes_as_the_describing_function_says(gap: float, share: float) -> None:
+    model = axis(backlash_gap=gap, motor_share=share)
+    made = design(model)
+    ignorant = replace(
+        made,
+        values={**made.values, "backlash_gap": 0.0},
+        settings={**made.settings, "tolerance": 0.0},
+    )
+    seen = simulate(model, ignorant, make_reference("minimum-jerk", made)).limit_cycle
+    assert seen is not None and made.limit_cycle is not None
+    assert seen.frequency == pytest.approx(made.limit_cycle.frequency, rel=0.1)
+    assert seen.amplitude == pytest.approx(made.limit_cycle.amplitude, rel=0.25)
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5])
+def test_gap_aware_loop_stands_still(share: float) -> None:
+    model = axis(backlash_gap=0.02, motor_share=share)
+    made = design(model)
+    tracking = simulate(model, made, make_reference("minimum-jerk", made))
+    assert tracking.limit_cycle is None
+    assert any("not seen" in sentence for sentence in tracking.says)
+
+
+def test_without_a_gap_nothing_hunts_and_nothing_is_predicted() -> None:
+    model = axis("coulomb_friction", coulomb_friction=1.0)
+    made = design(model)
+    assert made.limit_cycle is None
+    assert simulate(model, made, make_reference("minimum-jerk", made)).limit_cycle is None
+
+
+def test_elastic_joint_is_left_in_peace() -> None:
+    model = axis("joint_elasticity", joint_frequency=12.0, joint_damping=0.1)
+    made = design(model)
+    rigid = design(axis(), None)
+    tracking = simulate(model, made, make_reference("minimum-jerk", made))
+    assert made.bandwidth < rigid.bandwidth
+    assert tracking.peak < 0.01
+
+
+def test_integral_action_takes_a_torque_that_no_model_knows() -> None:
+    model = axis("constant_offset", offset=3.0)
+    made = design(axis(), 2.4)
+    tracking = simulate(model, made, make_reference("step", made))
+    assert abs(tracking.error[-1]) < 2 * model.resolution
+
+
+def test_large_step_does_not_wind_up() -> None:
+    made = design(model := axis("gravity", gravity_gain=3.0), 2.4)
+    tracking = simulate(model, made, make_reference("step", made, amplitude=6.0))
+    assert np.max(np.abs(tracking.input)) >= 0.999 * made.settings["limit"]
+    assert np.max(tracking.position) < 6.03
+    assert tracking.settled is not None
+
+
+def test_hunting_is_measured_on_a_sine_and_not_in_noise() -> None:
+    time = np.arange(0, 4, 0.002)
+    found = find_limit_cycle(time, 0.01 * np.sin(2 * np.pi * 3 * time), 1e-4)
+    assert found is not None
+    assert (found.amplitude, found.frequency) == (pytest.approx(0.01, rel=0.01), pytest.approx(3.0, rel=0.01))
+    assert find_limit_cycle(time, 0.01 * np.exp(-3 * time) * np.sin(18 * time), 1e-4) is None
+    assert find_limit_cycle(time, np.zeros_like(time), 1e-4) is None
+
+
+@pytest.mark.parametrize("kind", ["minimum-jerk", "sine", "step"])
+def test_references_are_within_reach_and_consistent(kind: str) -> None:
+    made = design(axis())
+    r = make_reference(kind, made)
+    if kind != "step":
+        np.testing.assert_allclose(np.gradient(r.position, r.time)[1:-1], r.velocity[1:-1], atol=1e-3)
+        np.testing.assert_allclose(np.gradient(r.velocity, r.time)[2:-2], r.acceleration[2:-2], atol=0.05)
+    assert np.max(np.abs(r.velocity)) <= made.reachable_speed
+    assert r.travel == pytest.approx(1.0, rel=0.01)
+
+
+def test_csv_reference_is_what_it_was(tmp_path: Path) -> None:
+    made = design(axis())
+    r = make_reference("sine", made)
+    path = tmp_path / "reference.csv"
+    path.write_text(
+        "t,position\n" + "".join(f"{t:.4f},{x:.9f}\n" for t, x in zip(r.time[::10], r.position[::10], strict=True))
+    )
+    back = read_reference(path, made.sample_time)
+    n = len(back.time)
+    np.testing.assert_allclose(back.position, r.position[:n], atol=1e-4)
+    np.testing.assert_allclose(back.velocity[50:-50], r.velocity[50 : n - 50], atol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "empty"),
+        ("t,x\n0,0\n", "no column 'position'"),
+        ("t,position\n0,0\n1,a\n2,0\n3,0\n", "line 3: position is 'a'"),
+        ("t,position\n0,0\n1\n2,0\n3,0\n", "line 3"),
+        ("t,position\n0,0\n1,nan\n2,0\n3,0\n", "line 3"),
+        ("t,position\n0,0\n1,0\n1,0\n3,0\n", "line 4: time"),
+        ("t,position\n0,0\n1,0\n", "at least 4"),
+        ("t,position\n0,0\n1,0\n2,0\n1e9,0\n", "too many"),
+    ],
+)
+def test_unusable_reference_files_are_refused(tmp_path: Path, text: str, says: str) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text(text)
+    with pytest.raises(BadInput, match=says):
+        read_reference(path, 0.002)
+
+
+def test_reference_beyond_reach_is_refused_before_anything_runs() -> None:
+    made = design(axis())
+    fast = make_reference("sine", made, amplitude=50.0, duration=3.0)
+    with pytest.raises(BadInput, match=r"asks at t = .*reaches 18"):
+        run(Path("none.fmu"), made, fast)
+    with pytest.raises(BadInput, match="kind"):
+        make_reference("square", made)
+    with pytest.raises(BadInput, match="amplitude"):
+        make_reference("sine", made, amplitude=-1.0)
+
+
+def test_other_structures_names_and_files_are_refused(tmp_path: Path) -> None:
+    fmu = export(axis(), tmp_path / "axis.fmu")
+    other = design(axis("gravity", gravity_gain=1.0))
+    with pytest.raises(BadInput, match=r"the controller has gravity, the FMU has not"):
+        run(fmu, other)
+    volts = design(replace(axis(), input_unit="V"), limit=12.0)
+    with pytest.raises(BadInput, match=r"no input 'voltage', only duty: map it \(voltage=NAME\)"):
+        run(fmu, volts)
+    assert run(fmu, volts, make_reference("step", volts, amplitude=0.1), {"voltage": "duty"}).peak < 0.2
+    with pytest.raises(BadInput, match="cannot map"):
+        run(fmu, volts, names={"speed": "velocity"})
+    (tmp_path / "text.fmu").write_text("no archive")
+    with pytest.raises(BadInput):
+        run(tmp_path / "text.fmu", volts)
+
+
+def test_json_is_plain() -> None:
     model = axis()
     made = design(model)
-    slow = make_reference("sine", made)
-    fast = make_reference("sine", made, amplitude=50.0, duration=3.0)
-    simulate(model, made, slow)
-    with pytest.raises(BadInput, match="asks at t ="):
-        run(Path("none.fmu"), made, fast)
+    said = to_json(simulate(model, made, make_reference("step", made)))
+    assert json.loads(json.dumps(said))["format"] == "twin-tracking/1"
+
+
+def uncertain(**spread: float) -> tuple[object, object]:
+    model = axis("gravity", gravity_gain=5.0)
+    fitted = tuple(spread)
+    return replace(model, fitted=fitted, covariance=np.diag([s**2 for s in spread.values()])), design(model, 2.4)
+
+
+def test_draws_have_the_covariance_and_stay_in_bounds() -> None:
+    model, _ = uncertain(gravity_gain=0.5, dead_band_forward=8.0)
+    drawn = draw(model, 2000)
+    assert np.std([m.values["gravity_gain"] for m in drawn]) == pytest.approx(0.5, rel=0.1)
+    assert min(m.values["dead_band_forward"] for m in drawn) >= 0.0
+
+
+def test_well_known_axis_meets_its_specification_and_a_vague_one_says_what_to_learn() -> None:
+    model, made = uncertain(gravity_gain=0.01, viscous_friction=0.01)
+    reference = make_reference("minimum-jerk", made, duration=4.0)
+    good = robustness(model, made, reference, draws=20)
+    assert good.share == 1.0 and good.learn is None
+    model, made = uncertain(gravity_gain=2.0, viscous_friction=0.01)
+    poor = robustness(model, made, reference, draws=40, specification=2 * good.median)
+    assert poor.share < 0.95 and poor.learn == "gravity_gain"
+    assert any("learn gravity_gain better" in sentence for sentence in poor.says)
+    assert math.isfinite(poor.median) and poor.worst >= poor.median
+    with pytest.raises(BadInput, match="covariance"):
+        robustness(axis(), made, reference)

@@ -121,11 +121,12 @@ def _observer(model: Model, controller: Controller, rate: float) -> tuple[dict[s
 
 
 def _gains(controller: Controller, rate: float) -> dict[str, float]:
-    """Poles of the chain of integrators, all at the asked rate, sampled with a hold."""
+    """Poles of the chain of integrators at the asked rate, sampled with a hold; a faster lag keeps its own."""
     period, lag = controller.sample_time, controller.values.get("lag_time", 0.0)
     chain = linear.Linear(0.0, 0.0, 1.0, lag, 1.0)
     a, b = chain.over(period)
-    poles = np.exp(-rate * period * np.linspace(0.95, 1.05, chain.order))
+    rates = [0.97 * rate, 1.03 * rate, *([1.06 * max(rate, 1.0 / lag)] if lag > 0.0 else [])]
+    poles = np.exp(-period * np.array(rates))
     k = np.asarray(control.place(a, b[:, :1], poles)).ravel()
     return {
         "position_gain": float(k[0]),
@@ -227,8 +228,7 @@ def _sensible(model: Model, draft: Controller) -> tuple[float, str]:
         "the delay": 0.5 / draft.latency,
         "the lag": 2.0 / values["lag_time"] if "lag_time" in values else math.inf,
         "the elastic joint": 2.0 * math.pi * joint.frequency / 3.0 if joint else math.inf,
-        "the drive's strength": 10.0
-        * max(_own_rate(draft), draft.reachable_acceleration / draft.reachable_speed),
+        "the drive's strength": 10.0 * max(_own_rate(draft), draft.reachable_acceleration / draft.reachable_speed),
     }
     why = min(ceilings, key=lambda name: ceilings[name])
     bandwidth = ceilings[why] / (2.0 * math.pi)
@@ -281,12 +281,11 @@ def _remarks(model: Model, controller: Controller) -> list[str]:
     )
     if controller.settings["whole"] + controller.settings["part"] > 0.0:
         says.append(
-            f"input_delay: bridged by prediction; a disturbance still acts for {1e3 * controller.latency:.3g} ms unanswered."
+            "input_delay: bridged by prediction; a disturbance still acts unanswered for "
+            f"{1e3 * controller.latency:.3g} ms."
         )
     if model.reads_speed:
-        says.append(
-            "sensor: the rig logs only speed; the loop needs a position reading and assumes a perfect one."
-        )
+        says.append("sensor: the rig logs only speed; the loop needs a position reading and assumes a perfect one.")
     return says
 
 

@@ -194,9 +194,7 @@ def _settings(where: str, table: Mapping[str, Any]) -> dict[str, float]:
             raise BadInput(f"{where}: [settings] {name} is {settings[name]:g}: give a value above 0")
     for name, most in (("whole", 1000.0), ("part", settings["sample_time"]), ("pieces", 10000.0)):
         if not 0.0 <= settings[name] <= most:
-            raise BadInput(
-                f"{where}: [settings] {name} is {settings[name]:g}: give a value from 0 to {most:g}"
-            )
+            raise BadInput(f"{where}: [settings] {name} is {settings[name]:g}: give a value from 0 to {most:g}")
     for name in ("whole", "pieces"):
         if settings[name] != int(settings[name]):
             raise BadInput(f"{where}: [settings] {name} is {settings[name]:g}: give a whole number")
@@ -268,9 +266,7 @@ def read(path: Path) -> Controller:
     except IsADirectoryError:
         raise BadInput(f"{path} is a folder, not a controller file: name the CONTROLLER.toml in it") from None
     except UnicodeDecodeError:
-        raise BadInput(
-            f"{path} is not UTF-8 text, so not a controller file: give a CONTROLLER.toml"
-        ) from None
+        raise BadInput(f"{path} is not UTF-8 text, so not a controller file: give a CONTROLLER.toml") from None
     except OSError as error:
         raise BadInput(f"{path} cannot be read ({error.strerror}): check its permissions") from None
     return loads(text, str(path))

@@ -29,7 +29,7 @@ from twin.reference import Reference, check, make_reference
 from twin.running import Running, running
 from twin.writers import python
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,14 +186,10 @@ class Sampler(Protocol):
         """The command to be given from the next sample on."""
 
 
-def close(
-    plant: Plant, controller: Controller, reference: Reference, sampler: Sampler | None = None
-) -> Tracking:
+def close(plant: Plant, controller: Controller, reference: Reference, sampler: Sampler | None = None) -> Tracking:
     """Run the loop over the reference; another sampler may take the controller's place."""
     runner, period = sampler or Runner(controller), controller.sample_time
-    columns = (
-        c.tolist() for c in (reference.time, reference.position, reference.velocity, reference.acceleration)
-    )
+    columns = (c.tolist() for c in (reference.time, reference.position, reference.velocity, reference.acceleration))
     position, given, command = [], [], 0.0
     for time, goal, speed, acceleration in zip(*columns, strict=True):
         place, measured = plant.read()
@@ -215,8 +211,8 @@ def find_limit_cycle(time: FloatArray, position: FloatArray, floor: float) -> Li
     if len(time) < 16:
         return None
     swing = position - 0.5 * (np.max(position) + np.min(position))
-    halves = np.array_split(position, 2)
-    if np.ptp(halves[1]) < max(0.5 * np.ptp(halves[0]), 2.0 * floor):
+    early, late = (float(np.ptp(half)) for half in np.array_split(position, 2))
+    if late < max(0.5 * early, 2.0 * floor):
         return None
     half = 0.25 * np.ptp(swing)
     # Crossings with a hysteresis of half the swing, so that noise does not count.
@@ -225,12 +221,10 @@ def find_limit_cycle(time: FloatArray, position: FloatArray, floor: float) -> Li
     ups = [kept[i] for i in range(1, len(kept)) if side[kept[i]] > side[kept[i - 1]]]
     if len(ups) < 3:
         return None
-    return LimitCycle(0.5 * float(np.ptp(halves[1])), (len(ups) - 1) / float(time[ups[-1]] - time[ups[0]]))
+    return LimitCycle(0.5 * late, (len(ups) - 1) / float(time[ups[-1]] - time[ups[0]]))
 
 
-def judge(
-    controller: Controller, reference: Reference, position: FloatArray, command: FloatArray
-) -> Tracking:
+def judge(controller: Controller, reference: Reference, position: FloatArray, command: FloatArray) -> Tracking:
     """Figures and sentences for a run."""
     error = position - reference.position
     unit = controller.axis_unit
@@ -252,9 +246,7 @@ def judge(
     ]
     predicted = controller.limit_cycle
     if cycle:
-        says.append(
-            f"At rest it hunts: a limit cycle of {cycle.amplitude:.3g} {unit} at {cycle.frequency:.3g} Hz."
-        )
+        says.append(f"At rest it hunts: a limit cycle of {cycle.amplitude:.3g} {unit} at {cycle.frequency:.3g} Hz.")
     elif rest > 0.0:
         says.append("At rest it stands still: no limit cycle.")
     if predicted and rest > 0.0:
@@ -299,9 +291,7 @@ def to_json(tracking: Tracking) -> dict[str, Any]:
         "peak": tracking.peak,
         "effort": tracking.effort,
         "settled": tracking.settled,
-        "limit_cycle": None
-        if cycle is None
-        else {"amplitude": cycle.amplitude, "frequency": cycle.frequency},
+        "limit_cycle": None if cycle is None else {"amplitude": cycle.amplitude, "frequency": cycle.frequency},
         "duration": float(tracking.time[-1]),
         "says": list(tracking.says),
     }

@@ -86,9 +86,7 @@ def linearise(controller: Controller, position: float = 0.0) -> Linear:
     moment, payload = controller.known_list[list(KNOWN).index("moment")], controller.known_list[0]
     h = 1e-6
     total = 1.0 + law.mass(0.0, payload, p)
-    stiffness = (
-        law.load(position + h, 0.0, 0.0, moment, p) - law.load(position - h, 0.0, 0.0, moment, p)
-    ) / (2 * h)
+    stiffness = (law.load(position + h, 0.0, 0.0, moment, p) - law.load(position - h, 0.0, 0.0, moment, p)) / (2 * h)
     # One-sided where the law has a corner at rest: the mean of both sides.
     damping = sum(
         law.load(position, s * h, 0.0, moment, p) + law.drag(position, s * h, p)
@@ -141,9 +139,7 @@ def _chain(linear: Linear, controller: Controller) -> Callable[[FloatArray, floa
     return sample
 
 
-def _matrices(
-    function: Callable[[FloatArray, float], FloatArray], count: int
-) -> tuple[FloatArray, FloatArray]:
+def _matrices(function: Callable[[FloatArray, float], FloatArray], count: int) -> tuple[FloatArray, FloatArray]:
     """A and B of a linear map, by what it does to unit vectors."""
     zero = np.zeros(count)
     a = np.column_stack([function(unit, 0.0) for unit in np.eye(count)])
@@ -208,9 +204,7 @@ def loop(controller: Controller, joint: Joint | None = None, true: Linear | None
     return -controller_system(linear, controller) * plant_system(true or linear, controller, joint)
 
 
-def _response(
-    open_loop: Any, controller: Controller, count: int
-) -> tuple[NDArray[np.complex128], FloatArray]:
+def _response(open_loop: Any, controller: Controller, count: int) -> tuple[NDArray[np.complex128], FloatArray]:
     """Frequency response from a hundredth of the bandwidth to the Nyquist frequency, at rates in rad/s."""
     nyquist = math.pi / controller.sample_time
     omega = np.geomspace(1e-2 * min(2.0 * math.pi * controller.bandwidth, nyquist), 0.99 * nyquist, count)

@@ -6,6 +6,7 @@ import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from twin.controller import Controller
 from twin.errors import BadInput
 from twin.linear import laws
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating[Any]]
 KINDS = ("minimum-jerk", "sine", "step")
 TRAVEL = {"rad": 1.0, "m": 0.1}  # unless an amplitude is given
 SHARE = 0.4  # of the reachable speed and acceleration that a made reference uses
@@ -38,20 +39,14 @@ class Reference:
     @property
     def rests_from(self) -> float:
         """Time from which the reference stands still until its end, s."""
-        moving = np.flatnonzero(
-            (self.velocity != 0.0) | (np.diff(self.position, append=self.position[-1]) != 0.0)
-        )
-        return (
-            float(self.time[min(moving[-1] + 1, len(self.time) - 1)]) if len(moving) else float(self.time[0])
-        )
+        moving = np.flatnonzero((self.velocity != 0.0) | (np.diff(self.position, append=self.position[-1]) != 0.0))
+        return float(self.time[min(moving[-1] + 1, len(self.time) - 1)]) if len(moving) else float(self.time[0])
 
     def __repr__(self) -> str:
         return f"{self.kind} reference, {self.time[-1]:.3g} s, over {self.travel:.3g}"
 
 
-def _move(
-    t: FloatArray, begin: float, length: float, distance: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _move(t: FloatArray, begin: float, length: float, distance: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """One minimum-jerk move (Flash and Hogan, J. Neuroscience 5, 1985)."""
     s = np.clip((t - begin) / length, 0.0, 1.0)
     return (
@@ -150,9 +145,7 @@ def read_reference(path: Path, sample_time: float) -> Reference:
             except ValueError:
                 value = math.nan
             if not math.isfinite(value):
-                raise BadInput(
-                    f"{path}, line {line}: {name} is {cell!r}, which is not a finite number: give one"
-                )
+                raise BadInput(f"{path}, line {line}: {name} is {cell!r}, which is not a finite number: give one")
             table[name][line - 2] = value
     time = table["time"]
     if len(time) < 4:
@@ -161,9 +154,7 @@ def read_reference(path: Path, sample_time: float) -> Reference:
         line = int(np.flatnonzero(np.diff(time) <= 0.0)[0]) + 3
         raise BadInput(f"{path}, line {line}: time does not increase: sort the rows by time")
     if (time[-1] - time[0]) / sample_time > 5e6:
-        raise BadInput(
-            f"{path} lasts {time[-1] - time[0]:g} s, too many samples of {sample_time:g} s: time is in s"
-        )
+        raise BadInput(f"{path} lasts {time[-1] - time[0]:g} s, too many samples of {sample_time:g} s: time is in s")
     t = np.arange(int((time[-1] - time[0]) / sample_time + 1e-6) + 1) * sample_time
     # A held column is a step reference: its corners are not to be rounded off.
     held = np.mean(np.diff(table["position"]) == 0.0) > 0.5 and "velocity" not in table
@@ -198,9 +189,7 @@ def check(reference: Reference, controller: Controller) -> None:
         place, speed = float(reference.position[i]), float(reference.velocity[i])
         side = 1.0 if speed > 0.0 else -1.0
         need = (
-            total * float(reference.acceleration[i])
-            - law.load(place, speed, 0.0, k[1], p)
-            - law.drag(place, speed, p)
+            total * float(reference.acceleration[i]) - law.load(place, speed, 0.0, k[1], p) - law.drag(place, speed, p)
         )
         if speed != 0.0:
             need += side * law.grip(place, speed, side, 0.5 * need, p)

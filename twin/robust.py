@@ -38,40 +38,6 @@ FloatArray = NDArray[np.float64]
 KERNEL_DRAWS = 200
 
 
-def follow(time, place, pace, rise, z, plant, kp, longest, x, y, m, q, p, g, k, position, command):  # type: ignore[no-untyped-def]
-    """The closed loop over a reference: plant state `z` under parameters `plant`, controller beside it."""
-    period = g[0]
-    delay = 0.0
-    if on.input_delay:  # noqa: F821
-        delay = late.delay  # noqa: F821
-    whole = int(delay / period + 1e-9)
-    part = delay - whole * period
-    if part < 0.0:
-        part = 0.0
-    ahead = 0.0
-    for i in range(len(time)):
-        position[i] = z[0]
-        command[i] = ahead
-        measured = z[0] + sensor(z[0], plant)  # noqa: F821
-        ahead = sample(x, y, m, q, p, g, k, place[i], pace[i], rise[i], measured)  # noqa: F821
-        for half in range(2):
-            span = part
-            back = i - whole - 1
-            if half == 1:
-                span = period - part
-                back = i - whole
-            acting = 0.0
-            if back >= 0:
-                acting = command[back]
-            if span > 0.0:
-                pieces = int(span / longest + 0.999999)
-                for _ in range(pieces):
-                    step(z, plant, kp, acting, span / pieces)  # noqa: F821
-        if not (z[0] - z[0] == 0.0):
-            return 1.0
-    return 0.0
-
-
 class _Plant(ast.NodeTransformer):
     """on.effect and late.name -> places in the plant's own vector."""
 
@@ -88,9 +54,7 @@ class _Plant(ast.NodeTransformer):
 
 def kernel_text() -> str:
     """The whole source that is compiled."""
-    loop = _Plant().visit(ast.parse(textwrap.dedent(inspect.getsource(follow))))
-    for argument in loop.body[0].args.args:
-        argument.annotation = None
+    loop = _Plant().visit(ast.parse(textwrap.dedent(inspect.getsource(sampled.follow))))
     text = sampled.write_switched() + "\n\n"
     text += ast.unparse(resolve(ast.unparse(ast.fix_missing_locations(loop)), numbering(EVERYTHING, True)))
     text = text.replace("\ndef ", "\n@njit(cache=True, nogil=True, error_model='numpy')\ndef ")
@@ -223,9 +187,7 @@ def robustness(
     limit = 0.02 * wanted.travel if specification is None else specification
     share = float(np.mean(peak <= limit))
     learn = _culprit(model, plants, peak) if share < 0.95 else None
-    return Robustness(
-        rms, peak, limit, share, learn, _sentences(model, controller, peak, limit, share, learn)
-    )
+    return Robustness(rms, peak, limit, share, learn, _sentences(model, controller, peak, limit, share, learn))
 
 
 def _culprit(model: Model, plants: list[Model], peak: FloatArray) -> str | None:

@@ -10,7 +10,7 @@ FMUs of any master; that sample and the input delay are bridged by running the m
 """
 
 # mypy: ignore-errors
-# ruff: noqa: SIM108, F821
+# ruff: noqa: SIM102, SIM108, F821
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ import ast
 import inspect
 import textwrap
 from math import floor, sqrt
+from typing import ClassVar
 
 from twin.axis import EVERYTHING, STATES, Structure
 from twin.writers.python import module as axis_module
@@ -58,44 +59,29 @@ def answer(target, emf, heat, limit, p):
     wanted = side * target
     low = 0.0
     high = 0.0
-    below = 0.0
-    above = 0.0
     peak = 0.0
     most = 0.0
+    # In parts, because a sagging supply makes a drive that passes on less where more is commanded.
     for i in range(16):
         high = limit * (i + 1.0) / 16.0
-        above = side * drive(side * high, emf, heat, p)
-        if above > most:
-            most = above
+        got = side * drive(side * high, emf, heat, p)
+        if got > most:
+            most = got
             peak = high
-        if above >= wanted:
+        if got >= wanted:
             break
         low = high
-        below = above
     if wanted == 0.0:
         high = 0.0
     elif most < wanted:
         high = peak
     else:
-        # Regula falsi; the end that stays twice in a row is pulled towards the answer (Illinois).
-        stays = 0
-        for _ in range(50):
-            middle = high - (high - low) * (above - wanted) / (above - below)
-            got = side * drive(side * middle, emf, heat, p)
-            if got >= wanted:
+        for _ in range(36):
+            middle = 0.5 * (low + high)
+            if side * drive(side * middle, emf, heat, p) >= wanted:
                 high = middle
-                above = got
-                if stays == 1:
-                    below = wanted - 0.5 * (wanted - below)
-                stays = 1
             else:
                 low = middle
-                below = got
-                if stays == 2:
-                    above = wanted + 0.5 * (above - wanted)
-                stays = 2
-            if high - low <= 1e-12 * limit or above - wanted <= 1e-12 * limit:
-                break
     return side * high
 
 
@@ -250,13 +236,51 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
     return command
 
 
+def follow(time, place, pace, rise, z, plant, kp, longest, x, y, m, q, p, g, k, position, command):
+    """The closed loop over a reference: plant state `z` under parameters `plant`, controller beside it.
+
+    `on.effect` and `late.name` are switches and parameters of the plant, which may differ from the controller's.
+    Returns 1 where the plant ran away.
+    """
+    period = g[0]
+    delay = 0.0
+    if on.input_delay:
+        delay = late.delay
+    whole = int(delay / period + 1e-9)
+    part = delay - whole * period
+    if part < 0.0:
+        part = 0.0
+    ahead = 0.0
+    for i in range(len(time)):
+        position[i] = z[0]
+        command[i] = ahead
+        measured = z[0] + sensor(z[0], plant)
+        ahead = sample(x, y, m, q, p, g, k, place[i], pace[i], rise[i], measured)
+        for half in range(2):
+            span = part
+            back = i - whole - 1
+            if half == 1:
+                span = period - part
+                back = i - whole
+            acting = 0.0
+            if back >= 0:
+                acting = command[back]
+            if span > 0.0:
+                pieces = int(span / longest + 0.999999)
+                for _ in range(pieces):
+                    step(z, plant, kp, acting, span / pieces)
+        if z[0] - z[0] != 0.0:
+            return 1.0
+    return 0.0
+
+
 FUNCTIONS = (answer, invert, clip, friction, approach, carry, sample)
 
 
 class _Name(ast.NodeTransformer):
     """m.name, g.name and y.name -> numbered places; the rest is left to the axis writer."""
 
-    tables = {"m": MEMORY, "g": tuple(SETTINGS), "y": tuple(STATES)}
+    tables: ClassVar = {"m": MEMORY, "g": tuple(SETTINGS), "y": tuple(STATES)}
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
         holder = node.value.id if isinstance(node.value, ast.Name) else ""
