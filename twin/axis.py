@@ -199,6 +199,7 @@ def piece(x, p, k, command, h):
         added = mass(x.time + 0.5 * h, k.payload, p)
     mass_l = 1.0 - mass_m + added
     total = mass_m + mass_l
+    per_total = 1.0 / total
 
     # The flank that touches: 1 the upper, -1 the lower, 2 both (there is no gap), 0 neither.
     side = 0
@@ -231,8 +232,13 @@ def piece(x, p, k, command, h):
             h = 0.08 / rate
     middle = 0.5 * h
 
+    # Whether the drive gives more or less on the way.
+    varies = 0
+    if has.supply_sag:
+        varies = 1
     warm = 0.0
     if has.thermal_fade:
+        varies = 1
         warm = (command / p.fade_reference) ** 2
     moment = x.time
     place = x.position
@@ -262,10 +268,11 @@ def piece(x, p, k, command, h):
             if has.thermal_fade:
                 heat = x.heat + (warm - x.heat) * middle / p.fade_time
 
-        emf = 0.0
-        if has.supply_sag:
-            emf = p.viscous_friction * speed_m / p.input_gain
-        acting = drive(command, emf, heat, p)
+        if stage == 0 or varies == 1:
+            emf = 0.0
+            if has.supply_sag:
+                emf = p.viscous_friction * speed_m / p.input_gain
+            acting = drive(command, emf, heat, p)
         mean = acting
         if has.motor_lag:
             # The mean over the first half predicts the middle; the mean over the whole moves the axis.
@@ -279,16 +286,6 @@ def piece(x, p, k, command, h):
         pull = 0.0
         if has.load:
             pull = load(place, speed_l, moment, k.moment, p)
-        forward = 0.0
-        reverse = 0.0
-        if has.grip:
-            through = 0.5 * (torque - pull)
-            forward = grip(place, speed_l, 1.0, through, p)
-            reverse = grip(place, speed_l, -1.0, through, p)
-            if forward < 0.0:
-                forward = 0.0
-            if reverse < 0.0:
-                reverse = 0.0
         resist_l = drag(place, speed_l, p)
         resist_m = resist_l
         if speed_m != speed_l:
@@ -300,15 +297,26 @@ def piece(x, p, k, command, h):
             wound = tension(twist, speed_m - speed_l, side, half, stiffness, damping)
             push_m = push_m - wound
             push_l = push_l + wound
-        left_m = net(push_m, share * forward, share * reverse, x.motor_velocity)
-        left_l = net(push_l, (1.0 - share) * forward, (1.0 - share) * reverse, x.velocity)
+        left_m = push_m
+        left_l = push_l
+        left = push_m + push_l
+        if has.grip:
+            through = 0.5 * (torque - pull)
+            forward = grip(place, speed_l, 1.0, through, p)
+            reverse = grip(place, speed_l, -1.0, through, p)
+            if forward < 0.0:
+                forward = 0.0
+            if reverse < 0.0:
+                reverse = 0.0
+            left_m = net(push_m, share * forward, share * reverse, x.motor_velocity)
+            left_l = net(push_l, (1.0 - share) * forward, (1.0 - share) * reverse, x.velocity)
+            left = net(left, forward, reverse, x.velocity)
         together = 0
         if elastic == 0:
             if side == 2 or (side != 0 and side * (left_m * mass_l - left_l * mass_m) >= 0.0):
                 together = 1
         if together == 1:
-            left = net(push_m + push_l, forward, reverse, x.velocity)
-            gain_l = left / total
+            gain_l = left * per_total
             gain_m = gain_l
         else:
             gain_m = left_m / mass_m
@@ -379,7 +387,8 @@ def step(x, p, k, command, h):
 
     Two bodies meet a handful of events in a step; the loop's bound is never met in motion.
     """
-    remaining = h
+    span = piece(x, p, k, command, h)
+    remaining = h - span
     for _ in range(64):
         if remaining <= 0.0:
             break

@@ -1,7 +1,7 @@
-"""The compiled kernel: one for all structures, written from the laws, compiled once and kept.
+"""The compiled kernel: one for all structures (shapes without a name have a second), written from the laws.
 
-The text is written to the user's cache folder under the hash of its content and compiled there by numba, which
-keeps the machine code beside it. A changed law is a changed text is another file.
+The text is written to the user's cache folder, under the hash of the files that it comes from, and compiled there
+by numba, which keeps the machine code beside it. A changed law is another hash is another file.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import hashlib
 import importlib.util
 import inspect
 import os
+import re
 import sys
 import tempfile
 import textwrap
@@ -20,25 +21,37 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numba
 import numpy as np
+import sympy
 from numpy.typing import NDArray
 
 from twin.axis import EVERYTHING, KNOWN, STATES, Structure
-from twin.effects.catalogue import UNKNOWN
+from twin.effects.catalogue import BASE, UNKNOWN
 from twin.effects.effect import SLOTS
 from twin.lanes import WIDTH
 from twin.writers import drivers, tangent
-from twin.writers.python import module, numbering, resolve
+from twin.writers.python import Numbering, module, numbering, resolve
 
 FloatArray = NDArray[np.float64]
 _LOOPS = (drivers.predict, drivers.predict_t, drivers.riccati)
 
-#: Index of every parameter in the kernel's vector; the switches of the effects and of the slots follow them.
-INDEX: dict[str, int] = {p.name: i for i, p in enumerate(EVERYTHING.parameters)}
+_HEAD = """import numpy as np
+from math import cos, exp, sin, sqrt, tanh
+from numba import njit
+from twin.lanes import numbers, put, row, zero"""
+
+#: What the commonest structures consist of: the base and any of these. They have a stepper of their own, from the
+#: same text, that does not ask for anything else.
+COMMON = (*BASE, "tooth_compliance", "coulomb_friction", "friction_asymmetry", "constant_offset", "gravity")
 
 #: The shapes without a name take as long to compile as all that has one and are rarely asked for: a kernel of their
 #: own holds them, with the same numbering.
 NAMED = EVERYTHING.without(*UNKNOWN)
+
+#: Index of every parameter in the kernel's vector; the switches of the effects, of the slots and of the
+#: common stepper follow them.
+INDEX: dict[str, int] = {p.name: i for i, p in enumerate(EVERYTHING.parameters)}
 _UNKNOWN = [len(INDEX) + EVERYTHING.ids.index(i) for i in UNKNOWN]
 
 
@@ -60,41 +73,57 @@ class _Index(ast.NodeTransformer):
         return node
 
 
-def kernel_text(laws: Structure = EVERYTHING) -> str:
-    """The whole source that is compiled, with the laws of these effects."""
-    numbers = numbering(EVERYTHING, True)
+def _stepper(numbers: Numbering, suffix: str = "") -> str:
+    """Laws, stepper and their derivative, with a suffix to the name of each function."""
+    text = ast.unparse(module(EVERYTHING, numbers=numbers)) + "\n\n\n" + tangent.write(numbers)
+    names = "|".join(re.findall(r"^def (\w+)", text, re.MULTILINE))
+    return re.sub(rf"\b({names})\(", rf"\1{suffix}(", text)
+
+
+def kernel_text(offered: Structure = EVERYTHING) -> str:
+    """The whole source that is compiled, for structures made of the effects on offer."""
+    numbers = numbering(EVERYTHING, True).offering((), offered.ids)
+    common = numbers.offering(BASE, COMMON)
     loops = "\n".join(textwrap.dedent(inspect.getsource(f)) for f in _LOOPS)
-    text = "\n\n\n".join(
-        [
-            "import numpy as np\nfrom math import cos, exp, sin, sqrt, tanh\nfrom numba import njit\n"
-            "from twin.lanes import put, row, zero",
-            ast.unparse(module(EVERYTHING, True, laws)),
-            tangent.write(laws),
-            ast.unparse(resolve(ast.unparse(_Index().visit(ast.parse(loops))), numbers)),
-        ]
-    )
-    return text.replace("\ndef ", "\n@njit(cache=True, error_model='numpy', nogil=True)\ndef ") + "\n"
+    steppers = "\n\n\n".join([_stepper(numbers), _stepper(common, "_common")])
+    # The steppers become part of the loops.
+    inlined = re.sub(r"^def ", "@njit(error_model='numpy', nogil=True, forceinline=True)\ndef ", steppers, flags=re.M)
+    driven = ast.unparse(resolve(ast.unparse(_Index().visit(ast.parse(loops))), numbering(EVERYTHING, True)))
+    cached = re.sub(r"^def ", "@njit(error_model='numpy', nogil=True, cache=True)\ndef ", driven, flags=re.M)
+    return "\n\n\n".join([_HEAD, inlined, cached]) + "\n"
 
 
-@cache
-def compiled(laws: Structure = NAMED) -> ModuleType:
-    """The kernel's module; compiles on the first call on a machine."""
-    text = kernel_text(laws)
-    name = "twin_kernel_" + hashlib.sha256(text.encode()).hexdigest()[:16]
+def _fingerprint(offered: Structure) -> str:
+    """Hash of every file that the kernel is written from, and of what is on offer in it."""
+    here = Path(__file__).parent
+    names = ("quantities.py", "words.py", "axis.py", "equations.py", "lanes.py", "kernel.py")
+    files = [here / name for name in names] + sorted((here / "effects").glob("*.py"))
+    digest = hashlib.sha256(f"{numba.__version__} {sympy.__version__} {offered!r}".encode())
+    for path in [*files, *sorted((here / "writers").glob("*.py"))]:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _place() -> Path:
+    """A folder that can be written to, for kernels."""
     folder = cache_folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        probe = tempfile.NamedTemporaryFile(dir=folder, suffix=".py", delete=False)  # noqa: SIM115
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
     except OSError:
-        folder = Path(tempfile.mkdtemp(prefix="twin-"))
-        probe = tempfile.NamedTemporaryFile(dir=folder, suffix=".py", delete=False)  # noqa: SIM115
-    path = folder / f"{name}.py"
-    with probe:
-        probe.write(text.encode())
-    if path.exists():
-        Path(probe.name).unlink()
-    else:
-        Path(probe.name).replace(path)
+        return Path(tempfile.mkdtemp(prefix="twin-"))
+
+
+@cache
+def compiled(offered: Structure = NAMED) -> ModuleType:
+    """The kernel's module; writes and compiles it on the first call on a machine."""
+    name = f"twin_kernel_{_fingerprint(offered)}"
+    path = _place() / f"{name}.py"
+    if not path.exists():
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".py", delete=False) as draft:
+            draft.write(kernel_text(offered).encode())
+        Path(draft.name).replace(path)
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None
     loaded = importlib.util.module_from_spec(spec)
@@ -110,7 +139,8 @@ def _serving(p: FloatArray) -> ModuleType:
 
 def vector(structure: Structure, values: dict[str, float]) -> FloatArray:
     """Parameters and switches in the kernel's order; parameters of absent effects at their start value."""
-    switches = [i in structure for i in EVERYTHING.ids] + [slot in structure.slots for slot in SLOTS]
+    common = set(BASE) <= set(structure.ids) <= set(COMMON)
+    switches = [*(i in structure for i in EVERYTHING.ids), *(slot in structure.slots for slot in SLOTS), common]
     p = np.array([q.start for q in EVERYTHING.parameters] + [float(on) for on in switches])
     for name, value in values.items():
         p[INDEX[name]] = value
@@ -158,6 +188,14 @@ def predict(
     return predicted, states
 
 
+def _aligned(*shape: int) -> FloatArray:
+    """Room for numbers whose rows of eight begin where the processor likes vectors to begin."""
+    count = int(np.prod(shape))
+    room = np.empty(count + WIDTH)
+    first = -(room.ctypes.data // room.itemsize) % WIDTH
+    return room[first : first + count].reshape(shape)
+
+
 def predict_with_slopes(
     drive: Drive, p: FloatArray, x: FloatArray, slope: FloatArray, names: tuple[str, ...], gains: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -167,19 +205,19 @@ def predict_with_slopes(
     """
     n, count = len(names), len(drive.time)
     blocks = max(-(-n // WIDTH), 1)
-    seed = np.zeros((len(INDEX), blocks * WIDTH))
-    for j, name in enumerate(names):
-        if name in INDEX:
-            seed[INDEX[name], j] = 1.0
-    start = np.zeros((len(STATES), blocks * WIDTH))
-    start[:, :n] = slope
-    predicted, slopes = np.empty(count), np.empty((count, blocks, WIDTH))
+    predicted, slopes = np.empty(count), _aligned(count, blocks, WIDTH)
     for block in range(blocks):
-        columns = slice(block * WIDTH, (block + 1) * WIDTH)
+        here = names[block * WIDTH : (block + 1) * WIDTH]
+        seed, start = _aligned(len(INDEX), WIDTH), _aligned(len(STATES), WIDTH)
+        seed[:], start[:] = 0.0, 0.0
+        start[:, : len(here)] = slope[:, block * WIDTH : block * WIDTH + len(here)]
+        for j, name in enumerate(here):
+            if name in INDEX:
+                seed[INDEX[name], j] = 1.0
         _serving(p).predict_t(
             drive.time, drive.command.copy() if drive.closed else drive.command, drive.measured, gains, drive.speed,
-            drive.closed, drive.law, x.copy(), start[:, columns].copy(), p, seed[:, columns].copy(), drive.known,
-            drive.longest, predicted, slopes, block, np.zeros((count if drive.closed else 1, WIDTH)),
+            drive.closed, drive.law, x.copy(), start, p, seed, drive.known,
+            drive.longest, predicted, slopes, block, _aligned(count if drive.closed else 1, WIDTH),
         )  # fmt: skip
     return predicted, slopes.reshape(count, -1)[:, :n]
 

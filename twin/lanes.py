@@ -81,14 +81,26 @@ def _negate(context, builder, sig, args):
 
 
 @intrinsic
+def numbers(typingctx, array):
+    """The bare numbers of a contiguous array: indexed as before, but handed on without being counted."""
+
+    def lower(context, builder, sig, args):
+        return context.make_array(sig.args[0])(context, builder, args[0]).data
+
+    return types.CPointer(types.float64)(array), lower
+
+
+@intrinsic
 def zero(typingctx):
     """Eight zeros."""
     return LANES(), lambda context, builder, sig, args: ir.Constant(_VECTOR, [0.0] * WIDTH)
 
 
 def _place(context, builder, kind, array, row):
-    """Pointer to eight numbers at `row` of a contiguous (…, 8) array."""
-    data = context.make_array(kind)(context, builder, array).data
+    """Pointer to eight numbers at `row` of a contiguous (…, 8) array, or of what `numbers` gave."""
+    data = array
+    if isinstance(kind, types.Array):
+        data = context.make_array(kind)(context, builder, array).data
     first = builder.gep(data, [builder.mul(row, ir.Constant(row.type, WIDTH))])
     return builder.bitcast(first, _VECTOR.as_pointer())
 

@@ -20,6 +20,9 @@ import numpy as np
 def predict(time, command, measured, gains, speed, closed, law, x, p, k, longest, predicted, states):
     """Fill `predicted` (N,) and, where it has rows, `states` (N, states); `command` is filled where closed."""
     count = len(time)
+    x = numbers(x)
+    p = numbers(p)
+    k = numbers(k)
     edge = 0
     delay = 0.0
     if has.input_delay:
@@ -28,7 +31,7 @@ def predict(time, command, measured, gains, speed, closed, law, x, p, k, longest
         reading = x.velocity if speed else x.position + sensor(x.position, p)
         predicted[i] = reading
         if len(states) > 0:
-            for s in range(len(x)):
+            for s in range(states.shape[1]):
                 states[i, s] = x[s]
         if closed:
             u = law[0] * command[i] - law[1] * reading - law[2] * x.velocity
@@ -53,11 +56,16 @@ def predict(time, command, measured, gains, speed, closed, law, x, p, k, longest
                 acting = 0.0
                 if time[edge] + delay < until:
                     until = time[edge] + delay
-            pieces = int((until - now) / longest + 0.999999)
-            if pieces < 1:
-                pieces = 1
+            span = until - now
+            pieces = 1
+            if span > longest:
+                pieces = int(span / longest + 0.999999)
+                span = span / pieces
             for _ in range(pieces):
-                step(x, p, k, acting, (until - now) / pieces)
+                if has.common:
+                    step_common(x, p, k, acting, span)
+                else:
+                    step(x, p, k, acting, span)
             now = until
     return 0.0
 
@@ -70,6 +78,11 @@ def predict_t(
     `slopes` is (N, stride, 8), `commands` (N or 1, 8) holds the derivative of the loop's own command.
     """
     count = len(time)
+    x = numbers(x)
+    p = numbers(p)
+    k = numbers(k)
+    xd = numbers(xd)
+    pd = numbers(pd)
     edge = 0
     delay = 0.0
     d_delay = zero()
@@ -122,13 +135,18 @@ def predict_t(
                 if time[edge] + delay < until:
                     until = time[edge] + delay
                     d_until = d_delay
-            pieces = int((until - now) / longest + 0.999999)
-            if pieces < 1:
-                pieces = 1
-            span = (until - now) / pieces
-            d_span = (1.0 / pieces) * (d_until - d_now)
+            span = until - now
+            d_span = d_until - d_now
+            pieces = 1
+            if span > longest:
+                pieces = int(span / longest + 0.999999)
+                span = span / pieces
+                d_span = (1.0 / pieces) * d_span
             for _ in range(pieces):
-                step_t(acting, d_acting, span, d_span, x, xd, p, pd, k)
+                if has.common:
+                    step_t_common(acting, d_acting, span, zero(), x, xd, p, pd, k)
+                else:
+                    step_t(acting, d_acting, span, d_span, x, xd, p, pd, k)
             now = until
             d_now = d_until
     return 0.0

@@ -2,7 +2,8 @@
 
 Two forms of the same text. For one structure: only its effects, `has.x` folded away, parameters numbered in
 the structure's order. Switched: every effect behind a switch, so that one compiled kernel serves all
-structures; the switches of the effects, then those of the slots, follow the parameters in `p`.
+structures; the switches of the effects, then those of the slots and that of the commonest structures, follow the
+parameters in `p`.
 """
 
 from __future__ import annotations
@@ -10,14 +11,15 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import sympy
 from sympy.printing.pycode import PythonCodePrinter
 
 from twin.axis import EVERYTHING, KNOWN, STATES, STEPPER, Structure
+from twin.effects.catalogue import EFFECTS
 from twin.effects.effect import SLOTS
 from twin.equations import trace
 
@@ -64,6 +66,20 @@ class Numbering:
     known: Mapping[str, int]
     has: Callable[[str], ast.expr]
 
+    def absent(self, name: str) -> bool:
+        """Whether the text can do without an effect altogether."""
+        switch = self.has(name)
+        return isinstance(switch, ast.Constant) and not switch.value
+
+    def offering(self, always: Collection[str], possible: Collection[str]) -> Numbering:
+        """The same numbers for a text in which some effects are always there and others only possible."""
+        there, perhaps = ({*ids, *(EFFECTS[i].slot for i in ids)} for ids in (always, possible))
+
+        def has(name: str) -> ast.expr:
+            return ast.Constant(name in there) if name in there or name not in perhaps else self.has(name)
+
+        return replace(self, has=has)
+
 
 def _index(order: Mapping[str, Any] | tuple[str, ...]) -> dict[str, int]:
     return {name: i for i, name in enumerate(order)}
@@ -75,7 +91,7 @@ def numbering(structure: Structure, switched: bool) -> Numbering:
     def switch(name: str) -> ast.expr:
         if not switched:
             return ast.Constant(name in structure or name in structure.slots)
-        place = len(names) + (*structure.ids, *SLOTS).index(name)
+        place = len(names) + (*structure.ids, *SLOTS, "common").index(name)
         return ast.parse(f"p[{place}] != 0.0", mode="eval").body
 
     return Numbering(_index(names), _index(tuple(STATES)), _index(tuple(KNOWN)), switch)
@@ -115,17 +131,16 @@ def resolve(text: str, numbers: Numbering) -> ast.Module:
     return ast.fix_missing_locations(resolved)
 
 
-def laws_by_slot(structure: Structure) -> dict[str, list[str]]:
-    """Ids of the effects that have a law, by slot, in order."""
-    return {
-        slot: [e.id for e in structure.effects if e.slot == slot] for slot in SLOTS if slot != "structure"
-    }
+def laws_by_slot(structure: Structure, numbers: Numbering | None = None) -> dict[str, list[str]]:
+    """Ids of the effects that have a law, by slot, in order; with `numbers` only those that may be present there."""
+    present = [e for e in structure.effects if not (numbers and numbers.absent(e.id))]
+    return {slot: [e.id for e in present if e.slot == slot] for slot in SLOTS if slot != "structure"}
 
 
-def law_text(structure: Structure) -> str:
-    """The functions drive, load, drag, grip, mass and sensor of these effects, each behind `has.x`."""
+def law_text(laws: Mapping[str, Iterable[str]]) -> str:
+    """The functions drive, load, drag, grip, mass and sensor, each effect behind `has.x`."""
     lines: list[str] = []
-    for slot, ids in laws_by_slot(structure).items():
+    for slot, ids in laws.items():
         arguments = SLOTS[slot][0]
         lines.append(f"def {slot}({', '.join(arguments)}, p):")
         if slot == "drive":
@@ -149,13 +164,10 @@ def stepper_text() -> str:
     return "\n".join(textwrap.dedent(inspect.getsource(f)) for f in STEPPER)
 
 
-def module(structure: Structure, switched: bool = False, laws: Structure | None = None) -> ast.Module:
-    """Laws and stepper of a structure as one syntax tree; functions take (…, p) with p a flat sequence.
-
-    `laws`, where given, are those of the structure's effects whose laws are written out: the numbering stays.
-    """
-    written = structure if laws is None else laws
-    return resolve(law_text(written) + "\n" + stepper_text(), numbering(structure, switched))
+def module(structure: Structure, switched: bool = False, numbers: Numbering | None = None) -> ast.Module:
+    """Laws and stepper of a structure as one syntax tree; functions take (…, p) with p a flat sequence."""
+    numbers = numbers or numbering(structure, switched)
+    return resolve(law_text(laws_by_slot(structure, numbers)) + "\n" + stepper_text(), numbers)
 
 
 def write(structure: Structure) -> str:

@@ -13,10 +13,10 @@ from collections.abc import Iterable
 
 import sympy
 
-from twin.axis import EVERYTHING, Structure
+from twin.axis import EVERYTHING
 from twin.effects.effect import SLOTS
 from twin.equations import argument, trace
-from twin.writers.python import code, laws_by_slot, module, numbering, resolve
+from twin.writers.python import Numbering, code, laws_by_slot, module, resolve
 
 _MATH = {"sqrt": sympy.sqrt, "exp": sympy.exp}
 _SHARED = ("x", "p", "k")
@@ -197,16 +197,15 @@ def _law(slot: str, ids: list[str], numbers: dict[str, int]) -> str:
     return "\n".join(lines)
 
 
-def write(written: Structure = EVERYTHING) -> str:
-    """Text of the switched kernel's derivative, with the laws of the effects in `written`.
+def write(numbers: Numbering) -> str:
+    """Text of the derivative of everything, with names resolved by `numbers`.
 
-    `step_t(command, d_command, h, d_h, x, xd, p, pd, k)`, one per law and one per function of the stepper; each
+    `step_t(command, d_command, h, d_h, x, xd, p, pd, k)`, one per function of the stepper and one per slot; each
     returns its value and the derivative of that.
     """
-    numbers = numbering(EVERYTHING, True)
-    laws = laws_by_slot(written)
+    laws = laws_by_slot(EVERYTHING, numbers)
     functions = [
-        f for f in module(EVERYTHING, True).body if isinstance(f, ast.FunctionDef) and f.name not in laws
+        f for f in module(EVERYTHING, numbers=numbers).body if isinstance(f, ast.FunctionDef) and f.name not in laws
     ]
     formals = {f.name: tuple(a.arg for a in f.args.args if a.arg not in _SHARED) for f in functions}
     formals |= {slot: SLOTS[slot][0] for slot in laws}

@@ -1,0 +1,111 @@
+"""How fast: the compiled kernel against a C loop written by hand, and identification end to end.
+
+    python scripts/bench.py            # all of it
+    python scripts/bench.py kernel     # only the kernel
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+BASE_VALUES = {
+    "input_gain": 0.3,
+    "viscous_friction": 2.0,
+    "dead_band_forward": 4.0,
+    "dead_band_reverse": 5.0,
+    "backlash_gap": 0.03,
+    "motor_share": 0.25,
+    "friction_share": 0.7,
+}
+SAMPLES = 30000
+
+
+def best(work: Callable[[], object], repeats: int = 15) -> float:
+    """Shortest of several runs, s."""
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def bare_loop(duty: np.ndarray) -> tuple[float, np.ndarray] | None:
+    """Seconds and positions of the loop written by hand; None without a C compiler."""
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        library = Path(folder) / "bare_loop.so"
+        source = Path(__file__).with_name("bare_loop.c")
+        subprocess.run([compiler, "-O2", "-shared", "-fPIC", "-o", library, source, "-lm"], check=True)
+        loop = ctypes.CDLL(str(library)).bare_loop
+    numbers = ctypes.POINTER(ctypes.c_double)
+    loop.argtypes = [numbers, numbers, ctypes.c_long, ctypes.c_double, numbers]
+    position, p = np.empty(len(duty)), np.array(list(BASE_VALUES.values()))
+    arguments = [a.ctypes.data_as(numbers) for a in (duty, position, p)]
+    return best(lambda: loop(arguments[0], arguments[1], len(duty), 0.002, arguments[2])), position
+
+
+def bench_kernel() -> None:
+    """Print the kernel's times and their ratio to the bare loop."""
+    start = time.perf_counter()
+    from twin import kernel
+    from twin.axis import BASE, Structure
+
+    rng = np.random.default_rng(0)
+    duty = np.repeat(rng.uniform(-60.0, 60.0, SAMPLES // 500), 500)
+    stamps, unseen = np.arange(SAMPLES) * 0.002, np.full(SAMPLES, np.nan)
+    drive = kernel.Drive(stamps, duty, unseen, False, kernel.known_vector({}), np.zeros(4), 0.0020001)
+    p = kernel.vector(Structure.of(BASE), BASE_VALUES)
+    x, gains, names = kernel.start_state(0.0, 0.0, 0.0), kernel.free_gains(SAMPLES), tuple(BASE_VALUES)
+    slope = np.zeros((len(x), len(names)))
+    position, _ = kernel.predict(drive, p, x, gains)
+    kernel.predict_with_slopes(drive, p, x, slope, names, gains)
+    print(f"first call, loading or compiling included: {time.perf_counter() - start:.1f} s")
+    value = best(lambda: kernel.predict(drive, p, x, gains))
+    slopes = best(lambda: kernel.predict_with_slopes(drive, p, x, slope, names, gains))
+    bare = bare_loop(duty)
+    print(f"{SAMPLES} samples, base model, one core:")
+    if bare is not None:
+        seconds, by_hand = bare
+        print(f"  bare C loop                 {1e3 * seconds:7.2f} ms")
+        print(f"  kernel                      {1e3 * value:7.2f} ms   {value / seconds:5.2f} x")
+        print(f"  kernel, {len(names)} exact slopes     {1e3 * slopes:7.2f} ms   {slopes / seconds:5.2f} x")
+        print(f"  largest difference between kernel and bare loop: {np.abs(position - by_hand).max():.1e} rad")
+    else:
+        print(f"  kernel                      {1e3 * value:7.2f} ms")
+        print(f"  kernel, {len(names)} exact slopes     {1e3 * slopes:7.2f} ms   (no C compiler to compare with)")
+
+
+def bench_commands() -> None:
+    """Print how long the commands take on the recording that ships with the project."""
+    recording = ROOT / "models" / "shipped" / "recording.csv"
+    if not recording.exists():
+        print("no recording to identify yet")
+        return
+    rig = recording.with_name("rig.toml")
+    with tempfile.TemporaryDirectory() as folder:
+        for name, extra in (("identify", ["--out", f"{folder}/model.toml"]), ("run", ["--out", f"{folder}/out"])):
+            command = [sys.executable, "-m", "twin.cli", name, str(recording), "--rig", str(rig), "--quiet", *extra]
+            start = time.perf_counter()
+            done = subprocess.run(command, env={**os.environ, "OMP_NUM_THREADS": "1"}, check=False)
+            state = "" if done.returncode == 0 else f" (exit {done.returncode})"
+            print(f"twin {name}: {time.perf_counter() - start:.1f} s{state}")
+
+
+if __name__ == "__main__":
+    bench_kernel()
+    if sys.argv[1:] != ["kernel"]:
+        bench_commands()
