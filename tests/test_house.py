@@ -11,9 +11,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 #: A module of `twin` imports only names that stand before its own.
-ORDER = """errors quantities words effects axis equations model variables description writers lanes kernel
-    faults rig formats manifest recording archive running package native ssp likelihood startup identify locate
-    explain extend compare sampled controller linear control reference cosim report cli"""
+ORDER = """errors files quantities words effects axis equations model variables description writers lanes kernel
+    faults rig formats manifest recording archive running package native ssp likelihood startup two_stage identify
+    locate compare finding explain extend experiment sampled controller controller_fmu linear control reference robust
+    cosim phrases figures report pipeline cli __main__"""
 TOP = {
     "pyproject.toml", "fmu_src", "twin", "tests", "models", "scripts", "README.md", "LICENSE", "CONTRIBUTING.md",
     "docs", ".ci", ".gitignore",
