@@ -1,0 +1,74 @@
+"""The plugin, from a user's side: checks that hold pass, others fail with figures and a plot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_control import axis
+
+from twin.control import design
+from twin.controller import dumps
+from twin.cosim import make_reference, simulate
+from twin.package import export
+from twin.pytest_plugin import Checks
+
+pytest_plugins = ["pytester"]
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    """A plant, a controller for it, and a recording of the plant."""
+    model = axis("gravity", gravity_gain=3.0)
+    made = design(model, 2.0)
+    export(model, tmp_path / "axis.fmu")
+    export(axis("gravity", gravity_gain=1.0), tmp_path / "other.fmu")
+    (tmp_path / "CONTROLLER.toml").write_text(dumps(made))
+    run = simulate(model, made, make_reference("minimum-jerk", made))
+    rows = "".join(f"{t:.4f},{u:.10f},{x:.10f}\n" for t, u, x in zip(run.time, run.input, run.position, strict=True))
+    (tmp_path / "log.csv").write_text("t,duty,position\n" + rows)
+    (tmp_path / "rig.toml").write_text(
+        '[time]\ncolumn = "t"\n[input]\ncolumn = "duty"\nunit = "%"\n[output]\ncolumn = "position"\nunit = "rad"\n'
+    )
+    return tmp_path
+
+
+def test_checks_hold_for_the_twin_and_fail_for_another(files: Path) -> None:
+    checks = Checks(files / "plots", "test[odd name]")
+    log, rig, controller = files / "log.csv", files / "rig.toml", files / "CONTROLLER.toml"
+    assert checks.load(files / "axis.fmu").version == 2
+    assert checks.assert_nrmse(files / "axis.fmu", log, 0.5, rig) < 0.5
+    assert checks.assert_tracking(files / "axis.fmu", controller, 0.01).peak < 0.01
+    assert checks.assert_no_limit_cycle(files / "axis.fmu", controller).limit_cycle is None
+    assert not (files / "plots").exists()
+    with pytest.raises(pytest.fail.Exception, match=r"no longer fits .*\n.*furthest off at .*\n.*plot: "):
+        checks.assert_nrmse(files / "other.fmu", log, 0.5, rig)
+    with pytest.raises(pytest.fail.Exception, match=r"tracking error .* > 1e-06"):
+        checks.assert_tracking(files / "axis.fmu", controller, 1e-6)
+    assert (files / "plots" / "test_odd_name_.png").stat().st_size > 5000
+
+
+def test_hunting_fails_the_check(tmp_path: Path) -> None:
+    model = axis(backlash_gap=0.02)
+    made = design(model)
+    ignorant = replace(made, values={**made.values, "backlash_gap": 0.0}, settings={**made.settings, "tolerance": 0.0})
+    fmu = export(model, tmp_path / "axis.fmu")
+    with pytest.raises(pytest.fail.Exception, match="hunts at rest"):
+        Checks(tmp_path, "t").assert_no_limit_cycle(fmu, ignorant)
+
+
+def test_plugin_runs_in_a_users_suite(files: Path, pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(
+        f"""
+        def test_fits(twin):
+            assert twin.assert_nrmse(r"{files}/axis.fmu", r"{files}/log.csv", 0.5, r"{files}/rig.toml") < 0.5
+        def test_drifts(twin):
+            twin.assert_nrmse(r"{files}/other.fmu", r"{files}/log.csv", 0.5, r"{files}/rig.toml")
+        """
+    )
+    result = pytester.runpytest_subprocess("-p", "twin.pytest_plugin", "--twin-plots", str(files / "seen"))
+    result.assert_outcomes(passed=1, failed=1)
+    assert [p.name for p in (files / "seen").iterdir()] == ["test_drifts.png"]
+    assert np.all([p.stat().st_size > 5000 for p in (files / "seen").iterdir()])
