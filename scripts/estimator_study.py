@@ -1,0 +1,196 @@
+"""How exact are the estimates? The paper's method and the joint fit on random rigs in MuJoCo, whose truth is known.
+
+    python scripts/estimator_study.py --rigs 100
+
+prints for every parameter the median and the 95th percentile of the error, that error over the Cramer-Rao bound (1
+for a perfect estimator), and how often the 95 % interval holds the truth. Relative errors in percent, those of the
+dead-band in percent of duty.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import multiprocessing
+import os
+import sys
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from excitations import EXCITATIONS, FREE
+from mujoco_rig import TURN, Rig, draw_rig, simulate
+
+from twin import likelihood
+from twin.identify import base_structure, free_parameters, joint
+from twin.recording import Recording
+from twin.two_stage import two_stage
+
+METHODS = ("paper, speeds", "paper, positions", "joint")
+DUTIES = ("dead_band_forward", "dead_band_reverse")  # errors in duty, not relative
+NORMAL_MEDIAN = 0.6745  # of the absolute value of a standard normal
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One parameter by one method on one rig; NaN where the method gives none."""
+
+    rig: int
+    excitation: str
+    method: str
+    parameter: str
+    truth: float
+    estimate: float
+    std: float
+    bound: float  # Cramer-Rao, at the truth
+    seconds: float  # that the whole fit took
+
+    @property
+    def error(self) -> float:
+        """In percent: of duty for a dead-band, else of the truth."""
+        error = abs(self.estimate - self.truth)
+        return error if self.parameter in DUTIES else 100.0 * error / self.truth
+
+
+def truths(rig: Rig) -> dict[str, float]:
+    """The rig's numbers under the model's names."""
+    return {
+        "input_gain": rig.input_gain,
+        "viscous_friction": rig.viscous_friction,
+        "dead_band_forward": rig.dead_band_forward,
+        "dead_band_reverse": rig.dead_band_backward,
+        "backlash_gap": rig.backlash,
+        "motor_share": rig.motor_share,
+        "friction_share": rig.motor_friction_share,
+        "tooth_frequency": rig.teeth_frequency,
+        "tooth_damping": rig.teeth_damping,
+    }
+
+
+def record(rig: Rig, excitation: str, duration: float, rng: np.random.Generator) -> Recording:
+    stamps, duty = EXCITATIONS[excitation](duration, rng, FREE)
+    run = simulate(rig, [], stamps, duty, int(rng.integers(2**31)))
+    count = TURN / run.counts_per_revolution
+    return Recording(f"{excitation} of a random rig", run.time, run.duty, run.counts * count, "%", "rad", count)
+
+
+def bounds(recording: Recording, truth: dict[str, float]) -> dict[str, float]:
+    """Cramer-Rao bound of every parameter, all of them unknown, with the noise that the recording shows."""
+    structure = base_structure()
+    cases, free = [likelihood.prepare(recording, structure)], free_parameters(structure)
+    density = likelihood.best_density(cases, structure, truth)
+    point = likelihood.evaluate(cases, structure, truth, density, free)
+    return dict(zip(free, np.sqrt(np.diag(point.covariance)).tolist(), strict=True))
+
+
+def by_paper(recording: Recording, form: str) -> dict[str, tuple[float, float]]:
+    found = two_stage([recording], form)
+    names = {"input_gain": "c", "viscous_friction": "b", **{n: n for n in DUTIES}}
+    return {name: (getattr(found, own), found.std(own)) for name, own in names.items()}
+
+
+def jointly(recording: Recording) -> dict[str, tuple[float, float]]:
+    point = joint([recording], base_structure())
+    errors = np.sqrt(np.diag(point.covariance)).tolist()
+    return {name: (point.values[name], error) for name, error in zip(point.free, errors, strict=True)}
+
+
+def study_rig(index: int, seed: int, duration: float, excitations: tuple[str, ...]) -> list[Outcome]:
+    """All methods on one rig; the rig is the same for every excitation."""
+    rig = draw_rig(np.random.default_rng([seed, index]))
+    truth = truths(rig)
+    estimators: dict[str, Callable[[Recording], dict[str, tuple[float, float]]]] = {
+        METHODS[0]: partial(by_paper, form="speeds"),
+        METHODS[1]: partial(by_paper, form="positions"),
+        METHODS[2]: jointly,
+    }
+    outcomes = []
+    for number, excitation in enumerate(excitations):
+        recording = record(rig, excitation, duration, np.random.default_rng([seed, index, number]))
+        bound = bounds(recording, truth)
+        for method, estimate in estimators.items():
+            begun = time.perf_counter()
+            found = estimate(recording)
+            taken = time.perf_counter() - begun
+            for name, true in truth.items():
+                value, std = found.get(name, (math.nan, math.nan))
+                outcomes.append(
+                    Outcome(index, excitation, method, name, true, value, std, bound[name], taken)
+                )
+    return outcomes
+
+
+def study(rigs: int, seed: int, duration: float, excitations: tuple[str, ...], processes: int = 2) -> list[Outcome]:
+    """The study on the first `rigs` rigs of a seed."""
+    run = partial(study_rig, seed=seed, duration=duration, excitations=excitations)
+    if processes == 1:
+        return [o for i in range(rigs) for o in run(i)]
+    # Fresh processes, so that the linear algebra in them starts with one thread each.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
+        return [o for some in tqdm(pool.map(run, range(rigs)), total=rigs, unit="rig") for o in some]
+
+
+def cell(outcomes: Iterable[Outcome]) -> str:
+    """Median and 95th percentile of the error, ratio to the bound, coverage; of rigs with an estimate."""
+    found = [o for o in outcomes if math.isfinite(o.estimate)]
+    if not found:
+        return f"{'-':>8} {'-':>8} {'-':>6} {'-':>5}"
+    errors = [o.error for o in found]
+    ratio = np.median([abs(o.estimate - o.truth) / o.bound for o in found]) / NORMAL_MEDIAN
+    held = np.mean([abs(o.estimate - o.truth) <= 1.96 * o.std for o in found])
+    return f"{np.median(errors):8.3g} {np.percentile(errors, 95):8.3g} {ratio:6.3g} {100 * held:4.0f}%"
+
+
+def table(outcomes: list[Outcome]) -> str:
+    """One table for each excitation, the methods side by side."""
+    lines = []
+    for excitation in dict.fromkeys(o.excitation for o in outcomes):
+        own = [o for o in outcomes if o.excitation == excitation]
+        rigs = len({o.rig for o in own})
+        lines += ["", f"excitation '{excitation}', {rigs} rigs", ""]
+        lines.append(f"{'':19}" + "".join(f" | {m:^30}" for m in METHODS))
+        lines.append(f"{'':19}" + f" | {'median':>8} {'95 %':>8} {'/bound':>6} {'cover':>5}" * len(METHODS))
+        for name in dict.fromkeys(o.parameter for o in own):
+            cells = [cell(o for o in own if (o.method, o.parameter) == (m, name)) for m in METHODS]
+            lines.append(f"{name:19}" + "".join(f" | {c}" for c in cells))
+        first = [o for o in own if o.parameter == "input_gain"]
+        counts = [sum(o.method == m and math.isfinite(o.estimate) for o in first) for m in METHODS]
+        seconds = [float(np.median([o.seconds for o in first if o.method == m])) for m in METHODS]
+        lines.append(f"{'rigs with estimate':19}" + "".join(f" | {f'{n} of {rigs}':>30}" for n in counts))
+        lines.append(f"{'seconds a fit':19}" + "".join(f" | {s:30.2f}" for s in seconds))
+    lines += ["", "Errors in percent of the truth, of dead-bands in percent of duty. /bound: median error over the"]
+    lines += ["Cramer-Rao bound of the whole recording, 1 for a perfect estimator. cover: of the 95 % intervals."]
+    return "\n".join(lines)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rigs", type=int, default=100, help="how many random rigs")
+    parser.add_argument("--seed", type=int, default=1, help="draws the rigs and their noise")
+    parser.add_argument("--duration", type=float, default=60.0, help="of a recording, s")
+    parser.add_argument(
+        "--excitation", action="append", choices=list(EXCITATIONS), help="default: paper and rich; may be repeated"
+    )
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--out", type=Path, help="JSON file for every single estimate")
+    given = parser.parse_args(arguments)
+    excitations = tuple(given.excitation or ("paper", "rich"))
+    outcomes = study(given.rigs, given.seed, given.duration, excitations, given.processes)
+    if given.out:
+        given.out.write_text(json.dumps([asdict(o) for o in outcomes], indent=1) + "\n", encoding="utf-8")
+    print(table(outcomes))
+
+
+if __name__ == "__main__":
+    main()
