@@ -92,7 +92,12 @@ def grids(
     fast = float(np.quantile(speeds, 0.95)) if len(speeds) else 1.0
     out["stribeck_friction"] = [{"stribeck_velocity": f * fast} for f in (0.02, 0.06, 0.15)]
     if travel > 0.0:
-        orders = np.arange(2.0, 61.0) if travel > 3.0 else np.linspace(2.0, 60.0, 117)
+        # A ripple is one that is seen to repeat: on a turn in whole numbers, on a short or linear travel three times.
+        least = 2.0 * math.pi * 3.0 / travel
+        whole = np.arange(2.0, 61.0)
+        short = least * np.geomspace(1.0, 30.0, 117)
+        angular = not longest.recording.output_unit.startswith("m")
+        orders = whole[whole >= least] if angular and travel > 3.0 else short
         out["torque_ripple"] = [{"ripple_order": n} for n in _lines(missing, "position", orders, 3)]
     rates = 2.0 * math.pi * np.geomspace(max(0.1, 2.0 / end), min(25.0, 0.2 / missing.step), 600)
     out["periodic_disturbance"] = [
@@ -320,6 +325,14 @@ def refit_smaller(cases: Sequence[Case], smaller: Point, larger: Point, held: Ma
     return again if again.deviance < smaller.deviance else smaller
 
 
+def plausible(cases: Sequence[Case], point: Point) -> bool:
+    """Whether the fit still is what its name says: a ripple has repeated, a disturbance has had time to."""
+    places = np.concatenate([c.recording.output[np.isfinite(c.recording.output)] for c in cases])
+    turns = point.values.get("ripple_order", math.inf) * float(np.ptp(places)) / (2.0 * math.pi)
+    cycles = point.values.get("disturbance_frequency", math.inf) * max(float(c.drive.time[-1]) for c in cases)
+    return turns >= 2.0 and cycles >= 2.0
+
+
 def fine_round(cases: Sequence[Case], before: Point, coarse: Sequence[Hypothesis], held: Mapping[str, float]) -> Round:
     """Fit the best coarse candidates finely and let the smaller model learn from the best of them."""
 
@@ -330,7 +343,8 @@ def fine_round(cases: Sequence[Case], before: Point, coarse: Sequence[Hypothesis
         return Hypothesis(h.added, fine_fit(cases, h.point.structure, starts, held, before.density))
 
     with ThreadPoolExecutor(2) as pool:
-        rivals = sorted(pool.map(finely, coarse[:FINALISTS]), key=lambda h: compare.criterion(h.point))
+        fitted = list(pool.map(finely, coarse[:FINALISTS]))
+    rivals = sorted(fitted, key=lambda h: (not plausible(cases, h.point), compare.criterion(h.point)))
     if rivals[0].deviance < before.deviance - 3.0 * compare.PRICE:
         before = refit_smaller(cases, before, rivals[0].point, held)
     gains = tuple((h.added[0], h.deviance) for h in coarse)

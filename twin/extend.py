@@ -100,7 +100,7 @@ def search(
             first_point = this.before
         winner = this.rivals[0]
         explained = first_point.deviance - winner.deviance
-        if not _worth(this.before, winner.point, explained):
+        if not explain.plausible(cases, winner.point) or not _worth(this.before, winner.point, explained):
             fine = this.before
             break
         fine = winner.point
@@ -203,14 +203,18 @@ def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, fl
     named: dict[str, float] = {}
     ranking: dict[str, float] = {}
     for n, this in enumerate(found.rounds):
-        rivals = list(this.rivals)
-        weight = compare.weights([compare.criterion(this.before), *(compare.criterion(h.point) for h in rivals)])
-        for h, w in zip(rivals, weight[1:], strict=True):
-            effect = h.added[0]
-            if effect in found.last.structure:
-                named[effect] = max(named.get(effect, 0.0), float(w))
-            if n == 0 or effect in found.last.structure:
-                ranking[effect] = max(ranking.get(effect, 0.0), float(w))
+        weight = compare.weights([compare.criterion(p) for p in (this.before, *(h.point for h in this.rivals))])
+        for effect in EFFECTS:
+            if effect in this.before.structure:
+                continue
+            holds = [
+                float(w) for h, w in zip(this.rivals, weight[1:], strict=True) if effect in h.point.structure.named
+            ]
+            also = [float(w) for h, w in zip(this.rivals, weight[1:], strict=True) if effect in h.point.structure]
+            if effect in found.last.structure.named and also:
+                named[effect] = ranking[effect] = max(named.get(effect, 0.0), sum(also))
+            elif n == 0 and holds:
+                ranking[effect] = max(ranking.get(effect, 0.0), sum(holds))
     for effect in found.last.structure.named:
         named.setdefault(effect, 0.5)
         ranking.setdefault(effect, named[effect])
