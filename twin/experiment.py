@@ -593,7 +593,9 @@ def separate(rivals: Sequence[Point], cases: Sequence[Case], limits: Limits | No
     Rivals are fitted models in the order of their probability (the first three count), `cases` the recordings that
     they were fitted to. With one rival the question is `sharpen`'s. The input starts from rest and is as short as a
     verdict needs. What it promises holds as far as the physics that the rivals share is right: with rigid teeth on a
-    rig whose teeth give, far more is promised than comes (scripts/experiment_study.py). Raises BadInput where the limits or the recordings leave no room for any input.
+    rig whose teeth give, far more is promised than comes (scripts/experiment_study.py).
+
+    Raises BadInput where the limits or the recordings leave no room for any input.
     """
     limits = limits or Limits()
     if len(rivals) == 1:
