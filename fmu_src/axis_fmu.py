@@ -2,13 +2,16 @@
 
 Standard library and pythonfmu only. The packer appends the generated functions `step` and `sensor` to this
 text and gives the file a name of its own: two FMUs in one process must not share a module that differs.
-What the FMU shows stands in resources/interface.json, the start values in resources/parameters.txt.
+What it must know of the model stands in resources/interface.json, the start values in resources/parameters.txt.
 Errors come out as a logged sentence and a status, never as an exception, which would bring the host down.
 """
 
+import atexit
+import ctypes
 import json
+import os
+import sys
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement
 
 from pythonfmu import Fmi2Slave
 from pythonfmu.enums import Fmi2Status
@@ -18,35 +21,55 @@ def finite(number):
     return number - number == 0.0
 
 
+_released = set()
+
+
+def release_at_exit(library):
+    """Let pythonfmu's library drop its state while Python ends.
+
+    On Linux it is never unloaded and drops the state twice when the process ends: the second time it writes to
+    freed memory, which brings some processes down. Once dropped, there is nothing left to drop.
+    """
+    if not sys.platform.startswith("linux") or library in _released or not os.path.exists(library):  # noqa: PTH110
+        return
+    try:
+        drop = ctypes.CDLL(library, mode=os.RTLD_NOLOAD | os.RTLD_NOW).finalizePythonInterpreter
+    except (OSError, AttributeError):
+        return  # not the library that runs us: nothing to mend
+    _released.add(library)
+    atexit.register(drop)
+
+
 class Axis(Fmi2Slave):
     """One axis. `v` holds every variable by value reference, `x` the states as the stepper wants them."""
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
         resources = Path(self.resources)
-        self.face = json.loads((resources / "interface.json").read_text(encoding="utf-8"))
-        self.modelName = self.face["identifier"]
+        face = json.loads((resources / "interface.json").read_text(encoding="utf-8"))
+        self.modelName = __name__  # pythonfmu names the binaries by it
+        release_at_exit(str(resources.parent / "binaries" / "linux64" / f"{__name__}.so"))
         lines = (resources / "parameters.txt").read_text(encoding="utf-8").splitlines()
         pairs = (line.split() for line in lines if line and not line.startswith("#"))
         values = {name: float(value) for name, value in pairs}
-        self.variables = self.face["variables"]
+        self.variables = face["variables"]
         references = {variable["name"]: variable["reference"] for variable in self.variables}
         self.v = [values.get(variable["name"], 0.0) for variable in self.variables]
-        self.states = [references[name] for name in self.face["states"]]
-        self.known = [references.get(name) for name in self.face["known"]]
-        self.parameters = [references[name] for name in self.face["parameters"]]
+        self.states = [references[name] for name in face["states"]]
+        self.known = [references.get(name) for name in face["known"]]
+        self.parameters = [references[name] for name in face["parameters"]]
         self.starts = [references["position_start"], references["velocity_start"]]
         self.settable = {v["reference"] for v in self.variables if v["causality"] == "parameter"}
         self.measured = references["position_measured"]
-        self.capacity = self.face["delay_capacity"]
+        self.capacity = face["delay_capacity"]
         if self.capacity:
             self.delay = references["delay"]
             self.acting = references["acting_command"]
             self.count = references["delay_count"]
             self.times = references["delay_time[1]"]
             self.values = references["delay_value[1]"]
-        self.longest = self.face["longest_step"]
-        self.round = self.face["round"]
+        self.longest = face["longest_step"]
+        self.round = face["round"]
         self.x = [0.0] * len(self.states)
         self.p = []
         self.k = []
@@ -127,9 +150,7 @@ class Axis(Fmi2Slave):
             return "the time is not finite or the step is negative: steps go forward"
         if self.clock is not None:
             if time < self.clock - 0.01 * length - 1e-9:
-                return (
-                    f"time goes back, the last step ended at {self.clock} s: go on there or restore a state"
-                )
+                return f"time goes back, the last step ended at {self.clock} s: go on there or restore a state"
             if time > self.clock + 0.01 * length + 1e-9:
                 return f"time jumps ahead, the last step ended at {self.clock} s: go on there"
         return self.take() if self.changed else ""
@@ -244,65 +265,3 @@ class Axis(Fmi2Slave):
         self.clock = state["clock"]
         self.x[:] = [self.v[i] for i in self.states]
         self.changed = True
-
-    # The model description
-
-    def to_xml(self, model_options=None):
-        face = self.face
-        root = Element(
-            "fmiModelDescription",
-            fmiVersion="2.0",
-            modelName=face["name"],
-            guid=face["guid"],
-            description=face["description"],
-            generationTool=face["tool"],
-            variableNamingConvention="structured",
-        )
-        SubElement(
-            root,
-            "CoSimulation",
-            modelIdentifier=face["identifier"],
-            needsExecutionTool="true",
-            canHandleVariableCommunicationStepSize="true",
-            canNotUseMemoryManagementFunctions="true",
-            canGetAndSetFMUstate="true",
-            canSerializeFMUstate="true",
-        )
-        units = SubElement(root, "UnitDefinitions")
-        for name, (factor, exponents) in face["units"].items():
-            scale = {} if factor == 1.0 else {"factor": repr(factor)}
-            powers = {base: str(power) for base, power in exponents.items()}
-            SubElement(SubElement(units, "Unit", name=name), "BaseUnit", powers | scale)
-        categories = SubElement(root, "LogCategories")
-        for name, description in self.log_categories.items():
-            SubElement(categories, "Category", name=name, description=description)
-        SubElement(
-            root, "DefaultExperiment", startTime="0.0", stopTime="10.0", stepSize=repr(face["sample_time"])
-        )
-        self.list_variables(SubElement(root, "ModelVariables"))
-        self.list_structure(SubElement(root, "ModelStructure"))
-        return root
-
-    def list_variables(self, parent):
-        for variable in self.variables:
-            words = ("name", "description", "causality", "variability", "initial")
-            attributes = {word: variable[word] for word in words if variable[word] is not None}
-            attributes["valueReference"] = str(variable["reference"])
-            node = SubElement(parent, "ScalarVariable", attributes)
-            numbers = {w: repr(variable[w]) for w in ("min", "max", "nominal") if variable[w] is not None}
-            if variable["initial"] != "calculated":
-                numbers["start"] = repr(self.v[variable["reference"]])
-            SubElement(node, "Real", {"unit": variable["unit"], **numbers})
-
-    def list_structure(self, parent):
-        place = {variable["name"]: i for i, variable in enumerate(self.variables, 1)}
-        outputs = [variable for variable in self.variables if variable["causality"] == "output"]
-        first, start = SubElement(parent, "Outputs"), SubElement(parent, "InitialUnknowns")
-        for variable in outputs:
-            index = str(place[variable["name"]])
-            # Between steps no output follows the input at once: masters must not see an algebraic loop.
-            SubElement(first, "Unknown", index=index, dependencies="", dependenciesKind="")
-            origin = sorted(place[name] for name in variable["initially_from"])
-            kind = " ".join("dependent" for _ in origin)
-            indices = " ".join(map(str, origin))
-            SubElement(start, "Unknown", index=index, dependencies=indices, dependenciesKind=kind)

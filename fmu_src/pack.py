@@ -13,8 +13,11 @@ from pathlib import Path
 SLAVE = Path(__file__).with_name("axis_fmu.py")
 
 
-def tidy(archive: bytes) -> bytes:
-    """The same archive with sorted members and one fixed date: same content, same bytes."""
+_DESCRIPTION = "modelDescription.xml"
+
+
+def tidy(archive: bytes, description: bytes) -> bytes:
+    """The same archive under this description, with sorted members and one date: same content, same bytes."""
     out = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(archive)) as old, zipfile.ZipFile(out, "w") as new:
         for name in sorted(old.namelist()):
@@ -22,14 +25,15 @@ def tidy(archive: bytes) -> bytes:
             info.create_system = 3
             info.compress_type = zipfile.ZIP_DEFLATED
             info.external_attr = (0o100755 if name.endswith((".so", ".dll", ".dylib")) else 0o100644) << 16
-            new.writestr(info, old.read(name))
+            # pythonfmu's own description has neither units nor bounds, and another GUID each time.
+            new.writestr(info, description if name == _DESCRIPTION else old.read(name))
     return out.getvalue()
 
 
-def pack(slave: str, identifier: str, resources: Mapping[str, str]) -> bytes:
-    """The FMU, as bytes, of a slave's text and its resource files. `identifier` names module and binaries.
+def pack(slave: str, identifier: str, resources: Mapping[str, str], description: bytes) -> bytes:
+    """The FMU, as bytes, of a slave's text, its resource files and modelDescription.xml.
 
-    Raises RuntimeError with what the builder said.
+    `identifier` names module and binaries. Raises RuntimeError with what the builder said.
     """
     with tempfile.TemporaryDirectory(prefix="twin-pack-") as folder:
         sources = Path(folder) / "sources"
@@ -41,7 +45,7 @@ def pack(slave: str, identifier: str, resources: Mapping[str, str]) -> bytes:
         done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
         if done.returncode or not target.exists():
             raise RuntimeError(f"pythonfmu could not build the FMU: {done.stderr.strip()[-500:]}")
-        return tidy(target.read_bytes())
+        return tidy(target.read_bytes(), description)
 
 
 def main(script: str, target: str) -> None:

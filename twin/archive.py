@@ -11,6 +11,7 @@ import os
 import re
 import shutil
 import stat
+import struct
 import tempfile
 import xml.etree.ElementTree as ET
 import zipfile
@@ -40,6 +41,7 @@ _BROKEN = (
     OverflowError,
     NotImplementedError,
     RuntimeError,
+    struct.error,
 )
 
 
@@ -137,13 +139,9 @@ def _check_name(path: Path, info: zipfile.ZipInfo) -> None:
     name = info.orig_filename
     steps = name.removesuffix("/").split("/")
     if "\\" in name or ":" in name or "\0" in name or any(step in ("", ".", "..") for step in steps):
-        raise BadInput(
-            f"{path}: member {name[:200]!r} would be written outside its folder: this is no FMU to trust"
-        )
+        raise BadInput(f"{path}: member {name[:200]!r} would be written outside its folder: this is no FMU to trust")
     if len(name) > 500 or any(len(step.encode()) > 200 for step in steps):
-        raise BadInput(
-            f"{path}: member {name[:60]!r}... has a name too long to unpack: this is no FMU to trust"
-        )
+        raise BadInput(f"{path}: member {name[:60]!r}... has a name too long to unpack: this is no FMU to trust")
     kind = stat.S_IFMT(info.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
         raise BadInput(f"{path}: member {name!r} is a link or a device, not a file: this is no FMU to trust")
@@ -172,9 +170,7 @@ def _check_archive(path: Path, infos: list[zipfile.ZipInfo], size: int) -> tuple
             f"{path} unpacks to {total / 2**20:.0f} MB, above {MOST_BYTES // 2**20}: this is no FMU to trust"
         )
     if total > SMALL and total > MOST_SWELLING * max(size, 1):
-        raise BadInput(
-            f"{path} unpacks to {total / max(size, 1):.0f} times its size: this is no FMU to trust"
-        )
+        raise BadInput(f"{path} unpacks to {total / max(size, 1):.0f} times its size: this is no FMU to trust")
     return tuple(info.filename for info in infos if not info.is_dir())
 
 
@@ -238,21 +234,17 @@ def open_fmu(path: Path) -> Fmu:
                 if name.endswith(".xml") and name != "modelDescription.xml":
                     parse_xml(f"{path}: {name}", _read(path, archive, name, MOST_DESCRIPTION))
     except FileNotFoundError:
-        raise BadInput(
-            f"{path}: there is no such FMU: check the name, or make one with twin export"
-        ) from None
+        raise BadInput(f"{path}: there is no such FMU: check the name, or make one with twin export") from None
     except PermissionError:
         raise BadInput(f"{path} cannot be read: check its permissions") from None
     except _BROKEN as error:
         raise BadInput(f"{path} is not an FMU, which is a zip file ({error}): give a .fmu file") from None
     root = parse_xml(f"{path}: modelDescription.xml", text)
     version = root.get("fmiVersion", "")
-    if root.tag != "fmiModelDescription" or version.split(".")[0] not in ("2", "3"):
+    if root.tag != "fmiModelDescription" or not re.fullmatch(r"2\.0|3\.\d.*", version):
         raise BadInput(f"{path}: FMI version is {version!r}: give an FMU of FMI 2 or 3")
     simulation = root.find("CoSimulation")
-    if simulation is None or not re.fullmatch(
-        r"[A-Za-z_]\w*", simulation.get("modelIdentifier", ""), re.ASCII
-    ):
+    if simulation is None or not re.fullmatch(r"[A-Za-z_]\w*", simulation.get("modelIdentifier", ""), re.ASCII):
         raise BadInput(
             f"{path} is not for co-simulation, or its name is not a C identifier: export it for co-simulation"
         )

@@ -10,6 +10,8 @@ import math
 import os
 import re
 import tempfile
+import uuid
+import xml.etree.ElementTree as ET
 import zipfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,13 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu_src import pack
+from twin import description
 from twin.archive import Fmu, open_fmu
 from twin.axis import KNOWN
 from twin.errors import BadInput
 from twin.model import Model, dumps, loads
 from twin.recording import Recording
 from twin.running import running
-from twin.variables import OUTPUTS, ROUND, STATE_NAMES, base_unit, delay_capacity, parameters_text, variables
+from twin.variables import OUTPUTS, ROUND, STATE_NAMES, delay_capacity, parameters_text, variables
 from twin.writers import python
 
 FloatArray = NDArray[np.float64]
@@ -51,37 +54,45 @@ def _write_whole(out: Path, content: bytes) -> None:
             Path(name).unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise BadInput(
-            f"{out} cannot be written ({error.strerror}): choose another place with --out"
-        ) from None
+        raise BadInput(f"{out} cannot be written ({error.strerror}): choose another place with --out") from None
 
 
 def interface(model: Model) -> dict[str, Any]:
-    """What the slave must know of the model, its numbers apart; identifier and GUID are hashes of all of it."""
+    """What the slave must know of the model, its numbers apart."""
     shown = variables(model)
-    listed = [{key: value for key, value in asdict(v).items() if key != "start"} for v in shown]
-    face: dict[str, Any] = {
-        "name": "axis",
-        "description": "Motor-driven axis with " + ", ".join(e.title for e in model.structure.effects),
-        "tool": f"twin with pythonfmu {importlib.metadata.version('pythonfmu')}",
-        "units": {unit: base_unit(unit) for unit in sorted({v.unit for v in shown})},
-        "variables": listed,
+    return {
+        "variables": [{k: getattr(v, k) for k in ("name", "reference", "causality", "min", "max")} for v in shown],
         "states": list(STATE_NAMES),
         "known": list(KNOWN),
         "parameters": [p.name for p in model.structure.parameters],
         "delay_capacity": delay_capacity(model),
         "longest_step": model.longest_step,
         "round": ROUND,
-        "sample_time": model.sample_time,
     }
-    content = json.dumps(face, sort_keys=True) + slave_text(model)
-    digest = hashlib.sha256(content.encode()).hexdigest()
-    return face | {"identifier": f"axis_{digest[:12]}", "guid": f"{{{digest[:32]}}}"}
 
 
 def slave_text(model: Model) -> str:
     """The slave's module: its behaviour, and the physics of the structure below it."""
     return pack.SLAVE.read_text(encoding="utf-8") + python.write(model.structure)
+
+
+def identity(model: Model) -> description.Identity:
+    """Names hashed from all that the FMU is, numbers apart: an update must not change them."""
+    listed = [asdict(v) | {"start": None} for v in variables(model)]
+    said = [interface(model), listed, model.sample_time, importlib.metadata.version("pythonfmu")]
+    digest = hashlib.sha256((json.dumps(said) + slave_text(model)).encode()).hexdigest()
+    return description.Identity(f"axis_{digest[:12]}", f"{{{uuid.UUID(digest[:32])}}}", "axis")
+
+
+def described(model: Model) -> bytes:
+    """modelDescription.xml of the FMU that needs Python."""
+    root = ET.fromstring(description.fmi2(model, identity(model), (), description.Solver((), ())))
+    root.set("generationTool", "twin, pythonfmu")
+    for simulation in root.iter("CoSimulation"):
+        simulation.set("needsExecutionTool", "true")
+        for files in simulation.findall("SourceFiles"):
+            simulation.remove(files)
+    return description.text(root)
 
 
 def export(model: Model, out: Path, force: bool = False) -> Path:
@@ -90,13 +101,15 @@ def export(model: Model, out: Path, force: bool = False) -> Path:
         raise BadInput(f"{out} is there already: choose another name, or overwrite it with --force")
     if not out.parent.is_dir():
         raise BadInput(f"{out.parent} is not a folder: make it first, or choose another place with --out")
-    face = interface(model)
+    if out.is_dir():
+        raise BadInput(f"{out} is a folder: give the name of a file with --out")
     resources = {
-        "interface.json": json.dumps(face, indent=1) + "\n",
+        "interface.json": json.dumps(interface(model), indent=1) + "\n",
         "parameters.txt": parameters_text(model),
         "model.toml": dumps(model),
     }
-    _write_whole(out, pack.pack(slave_text(model), face["identifier"], resources))
+    packed = pack.pack(slave_text(model), identity(model).identifier, resources, described(model))
+    _write_whole(out, packed)
     return out
 
 
@@ -142,9 +155,7 @@ def _with_starts(fmu: Fmu, text: bytes, model: Model) -> bytes:
         if found is None or not start:
             raise BadInput(f"{fmu.path} has no parameter {variable.name}: export it again with this version")
         first = found.start() + start.start()
-        described = (
-            described[:first] + f'start="{variable.start!r}"' + described[found.start() + start.end() :]
-        )
+        described = described[:first] + f'start="{variable.start!r}"' + described[found.start() + start.end() :]
     return described.encode("utf-8")
 
 
@@ -238,9 +249,7 @@ def replay(fmu: Path, recording: Recording, start: tuple[float, float] | None = 
         raise BadInput(f"{fmu} has {len(inputs)} inputs, not one: give an FMU that twin export wrote")
     position, velocity = start_of(recording) if start is None else start
     values = {"position_start": float(position), "velocity_start": float(velocity)}
-    values |= {
-        name: float(value) for name, value in recording.known.items() if name in KNOWN and name in names
-    }
+    values |= {name: float(value) for name, value in recording.known.items() if name in KNOWN and name in names}
     time, command = recording.time.tolist(), recording.input.tolist()
     seen = np.empty((len(time), len(OUTPUTS)))
     with running(opened, inputs, OUTPUTS) as instance:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from io import StringIO
 from pathlib import Path
 
@@ -31,9 +31,7 @@ class Running:
         self._references = fmu.references()
         absent = [name for name in (*inputs, *outputs) if name not in self._references]
         if absent:
-            raise BadInput(
-                f"{fmu.path} has no variable {', '.join(absent)}: give an FMU that twin export wrote"
-            )
+            raise BadInput(f"{fmu.path} has no variable {', '.join(absent)}: give an FMU that twin export wrote")
         self._in = (ctypes.c_uint * len(inputs))(*(self._references[name] for name in inputs))
         self._out = (ctypes.c_uint * len(outputs))(*(self._references[name] for name in outputs))
         self._given = (ctypes.c_double * len(inputs))()
@@ -78,18 +76,17 @@ class Running:
     def _set(self, values: Mapping[str, float]) -> None:
         absent = [name for name in values if name not in self._references]
         if absent:
-            raise BadInput(
-                f"{self.path} has no variable {', '.join(absent)}: give an FMU that twin export wrote"
-            )
+            raise BadInput(f"{self.path} has no variable {', '.join(absent)}: give an FMU that twin export wrote")
         references = [self._references[name] for name in values]
         setter = self._slave.setReal if self._two else self._slave.setFloat64
         if references:
             setter(references, list(values.values()))
 
-    def step(self, time: float, length: float, given: list[float]) -> Outputs:
+    def step(self, time: float, length: float, given: Sequence[float]) -> Outputs:
         """Set the inputs and go from `time` on by `length`; the outputs, in an array that is used again."""
         slave, component = self._slave, self._slave.component
-        self._given[:] = given
+        for i, value in enumerate(given):
+            self._given[i] = value
         try:
             if self._two:
                 slave.fmi2SetReal(component, self._in, len(self._in), self._given)
@@ -111,7 +108,9 @@ class Running:
         return self._got
 
     def close(self) -> None:
-        self._slave.terminate()
+        # After a refused step some FMUs refuse to end, too; what matters is the first refusal.
+        with suppress(Exception):
+            self._slave.terminate()
         self._slave.freeInstance()
 
 

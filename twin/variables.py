@@ -94,11 +94,11 @@ def known_read(model: Model) -> tuple[str, ...]:
 def delay_capacity(model: Model) -> int:
     """Number of commands that the delay line holds; 0 without a delay.
 
-    It suffices for the longest delay at communication steps no shorter than the longest internal step.
+    It suffices for the longest delay at communication steps of 1 ms, and for shorter delays at shorter steps.
     """
     if "input_delay" not in model.structure:
         return 0
-    return math.ceil(model.parameter("delay").upper / model.longest_step) + 2
+    return math.ceil(model.parameter("delay").upper / 0.001) + 2
 
 
 def _bound(value: float) -> float | None:
@@ -119,9 +119,7 @@ def variables(model: Model) -> tuple[Variable, ...]:
         start: float | None = None, initially_from: tuple[str, ...] = (),
     ) -> None:  # fmt: skip
         shown = _unit(unit, model)
-        found.append(
-            Variable(name, len(found), *kind, shown, description, low, high, nominal, start, initially_from)
-        )
+        found.append(Variable(name, len(found), *kind, shown, description, low, high, nominal, start, initially_from))
 
     parameter, fixed = ("parameter", "tunable", "exact"), ("parameter", "fixed", "exact")
     output, local = ("output", "continuous", "calculated"), ("local", "continuous", "calculated")
