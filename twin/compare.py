@@ -17,9 +17,9 @@ FloatArray = NDArray[np.float64]
 #: best of twenty candidates is not one candidate (calibrated on rigs with nothing missing, scripts/blind_trial.py).
 PRICE = 15.0
 #: Gain in the criterion below which nothing is said to be missing.
-LEAST = 150.0
+LEAST = 200.0
 #: Share of the deviance explained so far that a further effect must earn beside its price.
-FRACTION = 0.01
+FRACTION = 0.04
 #: Deviance that counts as one unit of log-odds times two: a model that errs a little makes likelihoods too sure.
 TEMPER = 20.0
 

@@ -337,10 +337,9 @@ def fine_round(cases: Sequence[Case], before: Point, coarse: Sequence[Hypothesis
     """Fit the best coarse candidates finely and let the smaller model learn from the best of them."""
 
     def finely(h: Hypothesis) -> Hypothesis:
-        teeth = {n: v for n, v in before.values.items() if n.startswith("tooth_")}
-        mixed = {**h.point.values, **before.values}
-        starts = [{**teeth, **h.point.values}, mixed]
-        return Hypothesis(h.added, fine_fit(cases, h.point.structure, starts, held, before.density))
+        # From the coarse valley, teeth looked for anew: what the smaller model took for teeth may be the effect.
+        structure = identify.with_teeth(h.point.structure)
+        return Hypothesis(h.added, identify.refine(cases, structure, h.point, held))
 
     with ThreadPoolExecutor(2) as pool:
         fitted = list(pool.map(finely, coarse[:FINALISTS]))

@@ -120,7 +120,7 @@ def start(recordings: Sequence[Recording], structure: Structure, held: Mapping[s
 
 def refine(cases: Sequence[Case], structure: Structure, coarse_point: Point, held: Mapping[str, float]) -> Point:
     """The maximum of the full likelihood from a coarse point, teeth included where the structure has them."""
-    values = dict(coarse_point.values)
+    values = {p.name: coarse_point.values.get(p.name, p.start) for p in structure.parameters}
     mine = with_steps(cases, structure)
     free = tuple(n for n in free_parameters(structure) if n not in held)
     if "tooth_compliance" not in structure:
