@@ -1,0 +1,148 @@
+"""What is left in the missing torque, and the shape that is drawn for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from axis_runs import run, steps
+
+from twin import likelihood, locate, unknown
+from twin.axis import Structure
+from twin.effects.catalogue import CANDIDATES, UNKNOWN
+from twin.effects.knots import KNOTS, line, names
+from twin.likelihood import Case, Point
+from twin.recording import Recording
+
+STRUCTURE = Structure.of(("inertia", "viscous_friction", "dead_band"))
+FREE = ("input_gain", "viscous_friction", "dead_band_forward", "dead_band_reverse")
+VALUES = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
+COUNT = 6.283185307179586 / 16384
+SAMPLES = 15000
+
+
+def recorded(seed: int, missing: tuple[str, ...] = (), noise: float = 0.3, **values: float) -> Case:
+    """A counted recording of 30 s with white torque noise, made with the kernel and given to it without `missing`."""
+    rng = np.random.default_rng(seed)
+    time = 0.002 * np.arange(SAMPLES)
+    command = steps(rng, SAMPLES, 300, 40.0)
+    shaken = command + noise * rng.standard_normal(SAMPLES)
+    truth = STRUCTURE.with_(*missing)
+    y, _ = run(truth, VALUES | values, time, shaken)
+    recording = Recording(
+        name="made", time=time, input=command, output=np.round(y / COUNT) * COUNT, input_unit="%", output_unit="rad",
+        resolution=COUNT,
+    )  # fmt: skip
+    return likelihood.prepare(recording, STRUCTURE)
+
+
+@cache
+def fitted(case_key: str) -> tuple[Case, Point]:
+    case = CASES[case_key]()
+    return case, likelihood.fit([case], STRUCTURE, VALUES, FREE)
+
+
+def bump(at: np.ndarray) -> np.ndarray:
+    """A torque over position of a shape that no page has."""
+    return 3.0 * np.exp(-(((at - 1.0) / 0.8) ** 2))
+
+
+#: The planted line: the bump at twelve knots from -2 to 4 rad.
+PLANTED = {
+    **{n: float(h) for n, h in zip(names("unknown_position"), bump(np.linspace(-2.0, 4.0, KNOTS)), strict=True)},
+    "unknown_position_from": -2.0,
+    "unknown_position_span": 6.0,
+}
+CASES = {
+    "bump": lambda: recorded(3, ("unknown_position",), **PLANTED),
+    "drag": lambda: recorded(4, ("quadratic_drag",), quadratic_drag=0.1),
+    "nothing": lambda: recorded(5),
+}
+
+
+def test_shapes_without_a_name_are_no_candidates():
+    assert not set(UNKNOWN) & set(CANDIDATES)
+    assert {f"unknown_{v}" for v in unknown.TERMS} == set(UNKNOWN)
+
+
+def test_line_goes_through_its_knots_and_on_level():
+    heights = list(np.random.default_rng(1).normal(size=KNOTS))
+    at = np.linspace(-3.0, 5.0, 200)
+    drawn = [line(x, -2.0, 6.0, heights) for x in at]
+    assert np.allclose(drawn, np.interp(at, np.linspace(-2.0, 4.0, KNOTS), heights), atol=1e-12)
+
+
+def test_null_predicts_nothing():
+    case, point = fitted("nothing")
+    found = unknown.leftover(case, point.structure, point.values)
+    assert found.share < 0.05
+    assert found.p_value > 1e-3
+    assert not unknown.is_left(found)
+
+
+def test_p_value_is_uniform_on_noise():
+    """Pure noise along a real path, many times over: p below 0.1 in about a tenth."""
+    case, point = fitted("nothing")
+    missing = locate.missing_torque(case, point.structure, point.values)
+    rng = np.random.default_rng(8)
+    found = []
+    for _ in range(40):
+        white = rng.standard_normal(len(missing.time) + 40)
+        smooth = np.convolve(white, np.ones(20) / 20.0, "same")[20:-20]
+        # Louder at speed, as real noise is: that alone is no dependence.
+        found.append(unknown.examine(replace(missing, torque=smooth * (1.0 + np.abs(missing.velocity)))).p_value)
+    below = [float(np.mean(np.array(found) < level)) for level in (0.1, 0.5)]
+    assert below[0] < 0.25
+    assert 0.25 < below[1] < 0.75
+
+
+def test_missing_drag_shows_over_velocity():
+    case, point = fitted("drag")
+    before = unknown.leftover(case, point.structure, point.values)
+    assert before.share > 0.2
+    assert before.p_value < 1e-2
+    assert "velocity" in before.variables
+    assert unknown.which_variables(before)[0] == "velocity"
+
+
+def test_bump_over_position_is_found_and_drawn():
+    case, base = fitted("bump")
+    before = unknown.leftover(case, base.structure, base.values)
+    assert before.share > 0.3
+    assert before.p_value < 1e-2
+    assert "position" in before.variables
+    found = unknown.fit_unknown([case], base, "position")
+    assert found.deviance < base.deviance - 200.0
+    first, span = found.values["unknown_position_from"], found.values["unknown_position_span"]
+    at = np.linspace(first, first + span, KNOTS)
+    heights = np.array([found.values[n] for n in names("unknown_position")])
+    truth = np.interp(at, np.linspace(-2.0, 4.0, KNOTS), [PLANTED[n] for n in names("unknown_position")])
+    size = np.sqrt(np.diag(found.covariance) * found.scale)
+    band = np.array([size[found.free.index(n)] if n in found.free else np.inf for n in names("unknown_position")])
+    # Straight lines between other knots than the planted ones miss the corners by a little beside the band.
+    assert np.all(np.abs(heights - truth) < 4.0 * band + 0.35)
+    assert np.abs(heights - truth)[np.isfinite(band)].max() < 0.3 * 3.0
+    after = unknown.leftover(case, found.structure, found.values)
+    assert after.size < 0.4 * before.size
+
+
+def left(share: float, p_value: float, size: float) -> unknown.Leftover:
+    return unknown.Leftover(share, p_value, ("position",), "position", size, ())
+
+
+def test_verdicts():
+    much, little, chance = left(0.6, 1e-9, 1.0), left(0.03, 1e-5, 0.1), left(0.3, 0.2, 0.4)
+    assert unknown.verdict(False, little, little) == "nothing_missing"
+    assert unknown.verdict(False, chance, chance) == "nothing_missing"
+    assert unknown.verdict(True, much, little) == "explained"
+    assert unknown.verdict(True, much, left(0.3, 1e-9, 0.3)) == "partly_explained"
+    assert unknown.verdict(True, much, left(0.5, 1e-9, 0.9)) == "unexplained"
+    assert unknown.verdict(False, much, much) == "unexplained"
+
+
+def test_unknown_variable_is_refused():
+    case, point = fitted("nothing")
+    with pytest.raises(ValueError, match="no term over"):
+        unknown.fit_unknown([case], point, "moonlight")

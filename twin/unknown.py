@@ -1,0 +1,346 @@
+"""Is there still structure in the missing torque, and a shape for it where no known effect describes it.
+
+What is missing may depend on any state of motion, alone or with another. For each the missing torque is predicted
+from its means over bins of that state, always on stretches that these means have not seen. What noise would do,
+correlated over the filter's memory and louder in some states than in others, is seen by giving whole stretches a
+random sign (the wild bootstrap of Liu, Ann. Stat. 16, 1988): that leaves the noise as it is and no dependence. The
+best of all tables has to beat the best of all tables under such signs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin import identify, likelihood, locate
+from twin.axis import Structure
+from twin.effects.knots import KNOTS, names
+from twin.effects.unknown_angle import HARMONICS
+from twin.likelihood import Case, Point
+from twin.locate import Missing
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+_TURN = 2.0 * math.pi
+#: Length of the averages on which the tables are made, and of the stretches held out or given a sign, s.
+_AVERAGE = 0.02
+_STRETCH = 0.25
+_FOLDS = 10
+_DRAWS = 199
+#: So many averages at zero does every bin get beside its own.
+_CAUTION = 5.0
+#: What counts as left: rigs with nothing missing leave a share of 0.03 at most, physics without a name 0.18 at least.
+SURE = 0.01
+LARGE = 0.1
+#: Part of the predictable torque's power that a named effect must take away to stand for it.
+REMOVED = 0.5
+_EULER = 0.5772156649015329
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """How well one state, or a pair, predicts the missing torque.
+
+    `share` of the variance of the torque is predicted on stretches not used for it; that is `score` standard
+    deviations above what noise gives; `size` is the RMS of the predicted torque, as acceleration. `table` is the
+    state's own name, `variables` says the same in the words of the contract.
+    """
+
+    table: str
+    variables: tuple[str, ...]
+    share: float
+    score: float
+    size: float
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """What is still predictable in the missing torque: the best of all dependences.
+
+    `p_value` is the chance that noise does as well in any of the tables.
+    """
+
+    share: float
+    p_value: float
+    variables: tuple[str, ...]
+    table: str
+    size: float
+    dependences: tuple[Dependence, ...]  # all that were looked at, the most telling first
+
+
+#: The tables by name, and what they stand for in the contract.
+_MEANS: Mapping[str, tuple[str, ...]] = {
+    "position": ("position",),
+    "angle": ("position",),
+    "velocity": ("velocity",),
+    "direction": ("direction",),
+    "acceleration": ("acceleration",),
+    "input": ("input",),
+    "time": ("time",),
+    "since reversal": ("position", "direction"),
+    "angle, direction": ("position", "direction"),
+    "angle, push": ("position", "input"),
+    "angle, input": ("position", "input"),
+    "position, input": ("position", "input"),
+    "velocity, time": ("velocity", "time"),
+    "input, time": ("input", "time"),
+    "input, velocity": ("input", "velocity"),
+}
+
+
+def _averages(missing: Missing) -> dict[str, FloatArray]:
+    """Torque and states, averaged over `_AVERAGE`; stretches with unread torque are left out."""
+    width = max(round(_AVERAGE / missing.step), 1)
+    count = len(missing.time) // width
+    columns = {
+        "torque": missing.torque,
+        "position": missing.position,
+        "velocity": missing.velocity,
+        "acceleration": missing.acceleration,
+        "input": missing.command,
+        "time": missing.time,
+    }
+    means = {n: c[: count * width].reshape(count, width).mean(axis=1) for n, c in columns.items()}
+    velocity = means["velocity"]
+    turned = np.flatnonzero(np.diff(np.sign(velocity), prepend=np.sign(velocity[0])) != 0)
+    last = np.concatenate([[0], turned])[np.searchsorted(turned, np.arange(count), "right")]
+    means["since"] = (means["position"] - means["position"][last]) * np.sign(velocity)
+    ok = np.isfinite(means["torque"])
+    return {n: m[ok] for n, m in means.items()}
+
+
+def _cut(values: FloatArray, bins: int) -> IntArray:
+    """Bins that hold as many values each; a value that is taken very often has a bin of its own."""
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, bins + 1)[1:-1]))
+    return np.searchsorted(edges, values, "right") + np.searchsorted(edges, values, "left")
+
+
+def _tables(means: Mapping[str, FloatArray]) -> dict[str, IntArray]:
+    """Every state on which the torque may depend, cut into bins."""
+    fast = float(np.quantile(np.abs(means["velocity"]), 0.95))
+    direction = (np.sign(means["velocity"]) * (np.abs(means["velocity"]) > 0.02 * fast) + 1.0).astype(np.intp)
+    push = (np.sign(means["input"]) + 1.0).astype(np.intp)
+    tables = {n: _cut(means[n], 30) for n in ("position", "velocity", "acceleration", "input", "time")}
+    tables |= {
+        "direction": direction,
+        "since reversal": 3 * _cut(np.clip(means["since"], 0.0, 0.3), 12) + direction,
+        "velocity, time": 100 * _cut(means["velocity"], 6) + _cut(means["time"], 6),
+        "input, time": 100 * _cut(means["input"], 6) + _cut(means["time"], 6),
+        "input, velocity": 100 * _cut(means["input"], 8) + _cut(means["velocity"], 8),
+        "position, input": 100 * _cut(means["position"], 10) + _cut(means["input"], 4),
+    }
+    if np.ptp(means["position"]) > 1.5 * _TURN:
+        angle = ((means["position"] % _TURN) * (36.0 / _TURN)).astype(np.intp)
+        tables |= {
+            "angle": angle,
+            "angle, direction": 3 * angle + direction,
+            "angle, push": 3 * angle + push,
+            "angle, input": 100 * (angle // 3) + _cut(means["input"], 5),
+        }
+    return tables
+
+
+def _clipped(torque: FloatArray) -> FloatArray:
+    """The torque without single impacts, which are not a dependence."""
+    spread = 1.4826 * float(np.median(np.abs(torque - np.median(torque))))
+    low, high = np.median(torque) - 6.0 * spread, np.median(torque) + 6.0 * spread
+    return np.clip(torque, low, high) if spread > 0.0 else torque
+
+
+def _cross(totals: FloatArray, counts: FloatArray, signs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Squares removed by predicting each stretch from the others (draws,), and the squares of the predictions.
+
+    `totals` and `counts` (bins, stretches); `signs` (draws, stretches). A bin's prediction is its mean over the
+    other folds, drawn towards zero where it holds few averages.
+    """
+    agreed, squared = np.zeros(len(signs)), np.zeros(len(signs))
+    whole, weight = totals @ signs.T, counts.sum(axis=1)
+    for fold in range(_FOLDS):
+        mine = slice(fold, counts.shape[1], _FOLDS)
+        own, number = totals[:, mine] @ signs[:, mine].T, counts[:, mine].sum(axis=1)
+        predicted = (whole - own) / (weight - number + _CAUTION)[:, None]
+        agreed += np.sum(own * predicted, axis=0)
+        squared += number @ predicted**2
+    return 2.0 * agreed - squared, squared
+
+
+def _shares(
+    torque: FloatArray, label: IntArray, stretch: IntArray, signs: FloatArray
+) -> tuple[float, float, FloatArray]:
+    """Share predicted, mean square of the prediction, and the shares (draws,) that noise gives under these signs.
+
+    Noise is what the bins' means leave: what depends on the state must not count as noise.
+    """
+    bins, pieces = int(label.max()) + 1, signs.shape[1]
+    flat = label * pieces + stretch
+    totals = np.asarray(np.bincount(flat, torque, bins * pieces), dtype=np.float64).reshape(bins, pieces)
+    counts = np.bincount(flat, minlength=bins * pieces).astype(np.float64).reshape(bins, pieces)
+    removed, squared = _cross(totals, counts, np.ones((1, pieces)))
+    mean = totals.sum(axis=1) / (counts.sum(axis=1) + _CAUTION)
+    noise, _ = _cross(totals - counts * mean[:, None], counts, signs)
+    rest = max(float(np.sum((torque - mean[label]) ** 2)), 1e-300)
+    power = max(float(np.sum(torque**2)), 1e-300)
+    return float(removed[0]) / power, float(squared[0]) / len(torque), noise / rest
+
+
+def _tail(score: float, null: FloatArray) -> float:
+    """Chance of a largest score as high as this; beyond the draws by the Gumbel law that fits them."""
+    counted = (1.0 + float(np.sum(null >= score))) / (1.0 + len(null))
+    if np.any(null >= score):
+        return counted
+    scale = max(float(null.std()) * math.sqrt(6.0) / math.pi, 1e-12)
+    mode = float(null.mean()) - _EULER * scale
+    return min(counted, -math.expm1(-math.exp(-min((score - mode) / scale, 700.0))))
+
+
+def examine(missing: Missing, seed: int = 1) -> Leftover:
+    """Look for dependence of the missing torque on every state. The same seed gives the same p-value."""
+    means = _averages(missing)
+    if len(means["torque"]) < 20 * _FOLDS:
+        return Leftover(0.0, 1.0, (), "", 0.0, ())
+    torque = _clipped(means["torque"])
+    stretch = (means["time"] / _STRETCH).astype(np.intp)
+    pieces = int(stretch.max()) + 1
+    rng = np.random.default_rng(seed)
+    signs = rng.choice([-1.0, 1.0], (_DRAWS, pieces))
+    found, nulls = [], []
+    for name, table in _tables(means).items():
+        share, square, noise = _shares(torque, np.unique(table, return_inverse=True)[1], stretch, signs)
+        middle, spread = float(noise.mean()), max(float(noise.std()), 1e-12)
+        nulls.append((noise - middle) / spread)
+        found.append(Dependence(name, _MEANS[name], share, (share - middle) / spread, math.sqrt(square)))
+    p_value = _tail(max(d.score for d in found), np.max(nulls, axis=0))
+    found.sort(key=lambda d: -d.share)
+    best = found[0]
+    return Leftover(max(best.share, 0.0), p_value, best.variables, best.table, best.size, tuple(found))
+
+
+def leftover(case: Case, structure: Structure, values: Mapping[str, float]) -> Leftover:
+    """Is there still structure in what a fitted model lacks that depends on the state?"""
+    (mine,) = identify.with_steps([case], structure)
+    return examine(locate.missing_torque(mine, structure, values))
+
+
+def is_left(found: Leftover) -> bool:
+    """Whether what is left counts: both sure and large enough not to be a rig's ordinary imperfection."""
+    return found.p_value < SURE and found.share >= LARGE
+
+
+def verdict(named: bool, before: Leftover, after: Leftover) -> str:
+    """The contract's verdict, from what is left of the first model and of the last; `named`: effects were found.
+
+    A name that leaves most of the missing torque where it was describes something else: that is `unexplained`.
+    """
+    if not is_left(after):
+        return "explained" if named else "nothing_missing"
+    removed = 1.0 - (after.size / max(before.size, 1e-300)) ** 2
+    return "partly_explained" if named and removed >= REMOVED else "unexplained"
+
+
+# ---- the term ----
+
+#: What a term over a variable makes superfluous: it holds any straight line itself.
+_HELD = {"velocity": "viscous_friction", "input": "input_gain"}
+#: Variables that a term may be drawn over; each is the effect unknown_<variable>.
+TERMS = ("position", "angle", "velocity", "input", "time")
+#: Time that a knot must have seen, as a share of what it would have if all had the same.
+_SEEN = 0.05
+
+
+def _hats(x: FloatArray, first: float, span: float) -> FloatArray:
+    """Each knot's weight (N, KNOTS) at x."""
+    spot = np.clip((KNOTS - 1) * (x - first) / span, 0.0, KNOTS - 1.0)
+    return np.clip(1.0 - np.abs(spot[:, None] - np.arange(KNOTS)), 0.0, 1.0)
+
+
+def _smooth(columns: FloatArray, torque: FloatArray, weight: float = 3.0) -> FloatArray:
+    """Heights that follow the torque, robustly, and bend no more than it asks for."""
+    bend = np.diff(np.eye(columns.shape[1]), 2, axis=0)
+    heights, trust = np.zeros(columns.shape[1]), np.ones(len(torque))
+    for _ in range(10):
+        a = columns.T @ (columns * trust[:, None]) + weight * bend.T @ bend + 1e-6 * np.eye(columns.shape[1])
+        heights = np.asarray(np.linalg.solve(a, columns.T @ (torque * trust)), dtype=np.float64)
+        rest = np.abs(torque - columns @ heights)
+        trust = 1.0 / np.maximum(rest / max(2.0 * float(np.median(rest)), 1e-12), 1.0)
+    return heights
+
+
+def _first_angle(means: Mapping[str, FloatArray]) -> tuple[dict[str, float], tuple[str, ...]]:
+    waves = [
+        (f"unknown_angle_{n}_{k}", f(k * means["position"]))
+        for k in range(1, HARMONICS + 1)
+        for n, f in (("sin", np.sin), ("cos", np.cos))
+    ]
+    columns = np.column_stack([w for _, w in waves])
+    gains = np.linalg.lstsq(columns, _clipped(means["torque"]), rcond=None)[0]
+    free = tuple(n for n, _ in waves)
+    return dict(zip(free, map(float, gains), strict=True)), free
+
+
+def _first_line(
+    means: Mapping[str, FloatArray], variable: str, values: Mapping[str, float]
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Values of the term's parameters to start from, and the knots that have seen enough to be fitted."""
+    prefix = f"unknown_{variable}"
+    x = means[variable]
+    low, high = (float(q) for q in np.quantile(x, (0.0, 1.0) if variable in ("time", "input") else (0.005, 0.995)))
+    span = max(high - low, 1e-6)
+    columns = _hats(x, low, span)
+    share = {"velocity": -1.0, "input": 1.0 / values["input_gain"]}.get(variable, 1.0)
+    heights = share * _smooth(columns, _clipped(means["torque"]))
+    seen = columns.sum(axis=0) > _SEEN * len(x) / KNOTS
+    start = {n: float(h) for n, h in zip(names(prefix), heights, strict=True)}
+    free = tuple(n for n, s in zip(names(prefix), seen, strict=True) if s)
+    return {**start, f"{prefix}_from": low, f"{prefix}_span": span}, free
+
+
+def _bridged(values: Mapping[str, float], prefix: str, free: Sequence[str]) -> dict[str, float]:
+    """Knots that saw too little, on the straight line between their neighbours that did not."""
+    knots = names(prefix)
+    sure = [i for i, n in enumerate(knots) if n in free]
+    level = np.interp(np.arange(KNOTS), sure, [values[knots[i]] for i in sure])
+    return {**values, **{n: float(v) for n, v in zip(knots, level, strict=True)}}
+
+
+def fit_unknown(cases: Sequence[Case], base: Point, variable: str, held: Sequence[str] = ()) -> Point:
+    """The base model and a term of no known shape over one of `TERMS`, fitted together.
+
+    Raises ValueError for another variable.
+    """
+    if variable not in TERMS:
+        raise ValueError(f"no term over {variable!r}: there are {', '.join(TERMS)}")
+    structure = base.structure.with_(f"unknown_{variable}")
+    mine = identify.with_steps(cases, structure)
+    parts = [_averages(locate.missing_torque(c, base.structure, base.values)) for c in mine]
+    means = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
+    if variable == "angle":
+        start, free = _first_angle(means)
+    else:
+        start, free = _first_line(means, variable, base.values)
+    kept = tuple(n for n in base.free if n not in held and n != _HELD.get(variable))
+    values = {**base.values, **start}
+    if variable == "angle":
+        return likelihood.fit(mine, structure, values, (*kept, *free), base.density, rounds=10)
+    prefix = f"unknown_{variable}"
+    rough = likelihood.climb(
+        mine, structure, _bridged(values, prefix, free), base.density, (*kept, *free), rounds=5, tolerance=1.0
+    )
+    values = _bridged(rough.values, prefix, free)
+    return likelihood.fit(mine, structure, values, (*kept, *free), base.density, rounds=10)
+
+
+def which_variables(found: Leftover, most: int = 2) -> list[str]:
+    """The terms worth fitting, the most telling first: among `TERMS`, with a share near the best."""
+    known = {"direction": "velocity", "since reversal": "position", "acceleration": "input"}
+    out: list[str] = []
+    for d in found.dependences:
+        first = d.table.split(", ")[0]
+        term = known.get(first, first)
+        if d.share > 0.3 * found.share and term in TERMS and term not in out:
+            out.append(term)
+    return out[:most]
