@@ -11,6 +11,7 @@ import os
 import sys
 import threading
 import traceback
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
@@ -183,16 +184,13 @@ def _tracking(tracking: Any) -> dict[str, Any]:
 
 def _identify(args: argparse.Namespace) -> int:
     _check_outputs(args, args.out)
-    from twin import files, identify, model, phrases, pipeline
+    from twin import files, model, phrases, pipeline
 
     with _progress(args) as tell:
         tell("reading the recording", 0.0)
         recordings, rig = _load(args)
         structure = pipeline.first_structure(rig, args.more, args.fewer)
-        if args.method == "joint":
-            pipeline.compile_kernel(tell)
-        found = identify.identify(recordings, structure, args.method, progress=tell)
-        found = pipeline.with_largest_command(found, recordings)
+        found = pipeline.estimate(recordings, structure, args.method, tell)
     files.put(args.out, model.dumps(found))
     said = [
         *_assumptions(rig),
@@ -337,9 +335,7 @@ def _diagnose(args: argparse.Namespace) -> int:
         tell("reading the recording", 0.0)
         given = None if args.model is None else model.read(args.model)
         recordings, rig = _load(args)
-        structure = pipeline.first_structure(rig, args.more, args.fewer)
-        if given is not None:
-            structure = given.structure.with_(*args.more).without(*args.fewer)
+        structure = pipeline.first_structure(rig, args.more, args.fewer, None if given is None else given.structure)
         pipeline.compile_kernel(tell)
         d = extend.diagnose(
             recordings, structure, {} if given is None else pipeline.held_of(given),
@@ -518,6 +514,9 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the exit code."""
+    debug = bool(os.environ.get("TWIN_DEBUG"))
+    if not debug:
+        warnings.simplefilter("ignore")  # a search may try values at which the model overflows
     try:
         parser, names = _parser()
         given = list(sys.argv[1:] if argv is None else argv)
@@ -543,7 +542,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         print(f"twin: internal error, {type(error).__name__}: {' '.join(str(error).split())}; "
               "set TWIN_DEBUG=1 for the traceback", file=sys.stderr)  # fmt: skip
-        if os.environ.get("TWIN_DEBUG"):
+        if debug:
             traceback.print_exc()
         return 3
 

@@ -49,8 +49,7 @@ def number(value: float, digits: int = 3) -> str:
         text = f"{value:.{max(digits - 1 - size, 0)}f}"
         return text.replace("-", "−")
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-    raised = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-    return f"{mantissa}·10{raised}".replace("-", "−")
+    return f"{mantissa}·10{_raised(int(exponent))}".replace("-", "−")
 
 
 def measure(value: float, std: float = math.nan, unit: str = "1") -> str:
@@ -59,11 +58,19 @@ def measure(value: float, std: float = math.nan, unit: str = "1") -> str:
     tail = "" if not shown else ("\u202f%" if shown == "%" else f" {shown}")
     if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
         return number(value, 4) + tail
-    place = 1 - math.floor(math.log10(std))
-    if not -2 <= place <= 7 or abs(value) >= 1e6:
-        return f"{number(value)} ± {number(std, 2)}{tail}"
-    kept = max(place, 0)
-    return f"{value:.{kept}f} ± {std:.{kept}f}{tail}".replace("-", "−")
+    size = math.floor(math.log10(max(abs(value), std)))
+    if -4 <= size < 6:
+        return _both(value, std) + tail
+    return f"({_both(value / 10.0**size, std / 10.0**size)})·10{_raised(size)}{tail}"
+
+
+def _both(value: float, std: float) -> str:
+    kept = min(max(1 - math.floor(math.log10(std)), 0), 9)
+    return f"{value:.{kept}f} ± {std:.{kept}f}".replace("-", "−")
+
+
+def _raised(exponent: int) -> str:
+    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def percent(share: float) -> str:

@@ -15,17 +15,16 @@ from typing import Any
 import numpy as np
 from fmpy.validation import validate_fmu
 
-from twin import control, controller, cosim, extend, finding, kernel, likelihood, model, package, recording, report
+from twin import control, controller, cosim, extend, finding, identify, kernel, likelihood, model, package
 from twin import two_stage as stages
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.errors import BadInput
 from twin.files import json_text, plain, put
 from twin.finding import Diagnosis, Experiment
-from twin.identify import base_structure
 from twin.model import Model
-from twin.recording import Recording, Rig
-from twin.report import Check, Story
+from twin.recording import Recording, Rig, load
+from twin.report import Check, Story, html
 
 Progress = Callable[[str, float], None]
 
@@ -48,9 +47,15 @@ def known_effect(name: str, where: str) -> str:
     raise BadInput(f"{where}: there is no effect {name!r}; {meant}")
 
 
-def first_structure(rig: Rig, more: Iterable[str] = (), fewer: Iterable[str] = ()) -> Structure:
-    """What the first model contains: the base, the rig file's [structure], and the user's changes. Raises BadInput."""
-    structure = base_structure().with_(*(known_effect(e, f"{rig.name} [structure]") for e in rig.effects))
+def first_structure(
+    rig: Rig, more: Iterable[str] = (), fewer: Iterable[str] = (), given: Structure | None = None
+) -> Structure:
+    """What the first model contains: `given`, or the base and the rig file's effects; then the user's changes.
+
+    Raises BadInput.
+    """
+    named = [known_effect(e, f"{rig.name} [structure]") for e in rig.effects]
+    structure = identify.base_structure().with_(*named) if given is None else given
     structure = structure.with_(*(known_effect(e, "--with") for e in more))
     for effect in fewer:
         if known_effect(effect, "--without") == "inertia":
@@ -79,7 +84,7 @@ def compile_kernel(tell: Progress) -> None:
     drive = kernel.Drive(
         np.arange(count, dtype=float), ramp, ramp.copy(), False, kernel.known_vector({}), np.zeros(4), 0.5
     )
-    everything = base_structure()
+    everything = identify.base_structure()
     p = kernel.vector(everything, {q.name: q.start for q in everything.parameters})
     gains, _ = kernel.kalman(drive, 1.0, 1.0, (1.0, 1.0))
     start = kernel.start_state(0.0, 0.0, 0.0)
@@ -127,10 +132,6 @@ def diagnosis_json(found: Diagnosis, experiment_file: str = "") -> dict[str, Any
 # ---- the whole ----
 
 
-def load(logs: Sequence[Path], rig: Path | None) -> tuple[list[Recording], Rig]:
-    return recording.load(logs, rig)
-
-
 def check_folder(out: Path, force: bool) -> None:
     """Raises BadInput where the results may not or cannot go into this folder."""
     if out.exists() and not out.is_dir():
@@ -142,9 +143,19 @@ def check_folder(out: Path, force: bool) -> None:
         raise BadInput(f"{out.parent} is not a folder: make it first, or choose another place with --out")
 
 
-def _two_stage(recordings: Sequence[Recording]) -> stages.TwoStage | None:
-    found = stages.two_stage(recordings)
-    return found if found.ok or found.pieces else None
+def estimate(recordings: Sequence[Recording], structure: Structure, method: str, tell: Progress) -> Model:
+    """A model by either method. Raises BadInput where the recordings do not allow it."""
+    if method == "joint":
+        compile_kernel(tell)
+        found = identify.identify(recordings, structure, progress=lambda s, x: tell(s, 0.05 + 0.95 * x))
+    else:
+        tell("steady states and transients", 0.1)
+        train = [r for r in recordings if r.role == "train"]
+        simple = stages.two_stage(train)
+        if not simple.ok:
+            raise BadInput(f"{train[0].name}: no two-stage estimate: {simple.says}; or use --method joint")
+        found = stages.to_model(simple, train)
+    return with_largest_command(found, recordings)
 
 
 def _closed_loop(found: Model, fmu: Path, bandwidth: float | None) -> tuple[Any, Any, tuple[str, ...]]:
@@ -176,7 +187,7 @@ def run(
     compile_kernel(tell)
     tell("steady states and transients", 0.03)
     training, _ = extend.split(recordings)
-    simple = _two_stage(training)
+    simple = stages.two_stage(training)
     diagnosis = extend.diagnose(recordings, structure, progress=lambda s, x: tell(s, 0.05 + 0.75 * x))
     before, after = (with_largest_command(m, recordings) for m in (diagnosis.before, diagnosis.after))
     diagnosis = replace(diagnosis, before=before, after=after)
@@ -201,7 +212,7 @@ def run(
         seconds = {**diagnosis.seconds, "in all": time.perf_counter() - began}
         story = Story(diagnosis, described, simple, tuple(checks), made, tracking, name, seconds, remarks)
         tell("writing the report", 0.96)
-        put(scratch / "report.html", report.html(story))
+        put(scratch / "report.html", html(story))
         _publish(scratch, out)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)

@@ -18,7 +18,7 @@ from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.equations import argument, trace
 
-#: Symbols of parameters; `{x}` is the axis' coordinate. A parameter without one is written by its name.
+#: Symbols of parameters; `@` stands for the axis' coordinate. A parameter without one is written by its name.
 SYMBOLS: dict[str, str] = {
     "input_gain": "c",
     "viscous_friction": "b",
@@ -45,14 +45,14 @@ SYMBOLS: dict[str, str] = {
     "gravity_gain": "a_{g}",
     "gravity_angle": r"\varphi_{g}",
     "spring_stiffness": "k_{s}",
-    "spring_rest": "{x}_{s}",
+    "spring_rest": "@_{s}",
     "ripple_torque": "a_{r}",
     "ripple_order": "n_{r}",
     "ripple_phase": r"\varphi_{r}",
     "stop_stiffness": "k_{e}",
     "stop_damping": "d_{e}",
-    "stop_upper": "{x}_{+}",
-    "stop_lower": "{x}_{-}",
+    "stop_upper": "@_{+}",
+    "stop_lower": "@_{-}",
     "lag_time": "T_{e}",
     "delay": "t_{d}",
     "load_added": r"\Delta J",
@@ -69,8 +69,8 @@ SYMBOLS: dict[str, str] = {
     "fade_reference": "u_{h}",
 }
 _ARGUMENTS = {
-    "position": "{x}",
-    "velocity": r"\dot{x}",
+    "position": "@",
+    "velocity": r"\dot{@}",
     "time": "t",
     "command": "u",
     "emf": r"u_{\omega}",
@@ -119,8 +119,7 @@ def coordinate(axis_unit: str = "rad") -> str:
 
 
 def _filled(pattern: str, axis_unit: str) -> str:
-    x = coordinate(axis_unit)
-    return pattern.replace(r"\dot{x}", rf"\dot{{{x}}}").replace("{x}", x)
+    return pattern.replace("@", coordinate(axis_unit))
 
 
 def symbol(name: str, axis_unit: str = "rad") -> str:
@@ -246,16 +245,16 @@ def _signed(text: str) -> str:
 
 _LEFT = {
     "drive": ("the command that acts", "v"),
-    "load": ("motion", r"\ddot{x}"),
-    "drag": ("motion", r"\ddot{x}"),
+    "load": ("motion", r"\ddot{@}"),
+    "drag": ("motion", r"\ddot{@}"),
     "grip": ("size of the dry friction", "F"),
     "mass": ("inertia, in units of the axis' own", "J"),
-    "sensor": ("what the sensor reads", r"{x}_{\mathrm{measured}}"),
+    "sensor": ("what the sensor reads", r"@_{\mathrm{measured}}"),
 }
 
 
 def _left(slot: str, axis_unit: str) -> str:
-    return _filled(_LEFT[slot][1].replace(r"\ddot{x}", r"\ddot{@}"), axis_unit).replace("@", coordinate(axis_unit))
+    return _filled(_LEFT[slot][1], axis_unit)
 
 
 def equation(effect_id: str, axis_unit: str = "rad") -> str:

@@ -1,0 +1,440 @@
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from example_diagnosis import example, model_of, recording_of
+
+from twin import cli, controller, extend, finding, model, package, pipeline
+from twin.identify import base_structure
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+COMMANDS = ["run", "identify", "export", "update", "simulate", "diagnose", "control", "cosim", "check"]
+
+
+def csv_of(recording) -> str:
+    rows = ["t,duty,q"]
+    for t, u, y in zip(recording.time, recording.input, recording.output, strict=True):
+        rows.append(f"{t:.4f},{u:g},{'' if np.isnan(y) else f'{y:.8f}'}")
+    return "\n".join(rows) + "\n"
+
+
+@pytest.fixture(scope="module")
+def shelf(tmp_path_factory) -> Path:
+    """A good recording, models, FMU and controller, made once."""
+    folder = tmp_path_factory.mktemp("shelf")
+    truth = model_of("gravity")
+    (folder / "good.csv").write_text(csv_of(recording_of(truth)))
+    (folder / "model.toml").write_text(model.dumps(truth))
+    (folder / "other.toml").write_text(model.dumps(truth.with_values({"input_gain": 0.5})))
+    (folder / "base.toml").write_text(model.dumps(model_of()))
+    package.export(truth, folder / "arm.fmu")
+    assert cli.main(["control", str(folder / "model.toml"), "--out", str(folder / "c.toml"), "--bandwidth", "2"]) == 0
+    return folder
+
+
+@pytest.fixture
+def bench(shelf, tmp_path, monkeypatch) -> Iterator[Path]:
+    """An own copy of the shelf to work in."""
+    for path in shelf.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+
+
+def call(capsys, *arguments: str) -> tuple[int, str, str]:
+    """Exit code, stdout, and stderr without the progress bar."""
+    capsys.readouterr()
+    code = cli.main(list(arguments))
+    out, err = capsys.readouterr()
+    return code, out, err.split("\r")[-1]
+
+
+def state(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def refused(capsys, bench: Path, *arguments: str) -> str:
+    """One line on stderr, exit 2, nothing written and nothing changed; the line."""
+    before = state(bench)
+    code, out, err = call(capsys, *arguments)
+    assert code == 2, (out, err)
+    assert out == ""
+    assert re.fullmatch(r"twin: [^\n]+\n", err), err
+    assert state(bench) == before
+    assert "Error" not in err and "Traceback" not in err
+    return err
+
+
+# ---- bad recordings, through every command that takes one ----
+
+
+def good_lines() -> list[str]:
+    return csv_of(recording_of(model_of("gravity"))).splitlines()
+
+
+def spoilt(case: str) -> bytes:
+    lines = good_lines()
+    cells = [line.split(",") for line in lines]
+    match case:
+        case "missing column":
+            return "\n".join(",".join(c[:2]) for c in cells).encode()
+        case "text for a number":
+            lines[100] = "0.2,fast,0.1"
+        case "time goes backwards":
+            lines[500] = "0.1,35,0.2"
+        case "constant input":
+            lines = [lines[0], *(f"{t},35,{y}" for t, _, y in cells[1:])]
+        case "constant output":
+            lines = [lines[0], *(f"{t},{u},0.25" for t, u, _ in cells[1:])]
+        case "empty":
+            return b""
+        case "header only":
+            lines = lines[:1]
+        case "UTF-16":
+            return "\n".join(lines).encode("utf-16-le")
+        case "rubbish":
+            return bytes(np.random.default_rng(0).integers(0, 256, 5000, dtype=np.uint8))
+        case "three samples":
+            lines = lines[:4]
+    return "\n".join(lines).encode()
+
+
+BAD = [
+    "missing column", "text for a number", "time goes backwards", "constant input", "constant output", "empty",
+    "header only", "UTF-16", "rubbish", "three samples",
+]  # fmt: skip
+TAKES_LOG = {
+    "run": ["LOG", "--out", "new"],
+    "identify": ["LOG", "--out", "new.toml"],
+    "diagnose": ["LOG", "--out", "new.toml", "--report", "new.html", "--json", "new.json"],
+    "simulate": ["arm.fmu", "--log", "LOG", "--out", "new.csv"],
+    "check": ["arm.fmu", "--log", "LOG", "--max-nrmse", "5"],
+}
+
+
+def with_log(command: str, log: str) -> list[str]:
+    return [command, *(log if a == "LOG" else a for a in TAKES_LOG[command])]
+
+
+@pytest.mark.parametrize("case", BAD)
+@pytest.mark.parametrize("command", TAKES_LOG)
+def test_bad_recordings_are_refused(capsys, bench, command, case):
+    (bench / "bad.csv").write_bytes(spoilt(case))
+    said = refused(capsys, bench, *with_log(command, "bad.csv"))
+    assert "bad.csv" in said
+
+
+@pytest.mark.parametrize("command", TAKES_LOG)
+def test_missing_files_and_folders_are_refused(capsys, bench, command):
+    (bench / "folder").mkdir()
+    assert "nothere.csv" in refused(capsys, bench, *with_log(command, "nothere.csv"))
+    assert "folder" in refused(capsys, bench, *with_log(command, "folder"))
+    assert "nothere.toml" in refused(capsys, bench, *with_log(command, "good.csv"), "--rig", "nothere.toml")
+
+
+@pytest.mark.parametrize(
+    ("rig", "names"),
+    [
+        ('[input]\ncolumn = "duty"\nunit = "furlong"\n[output]\ncolumn = "q"\nunit = "rad"', "furlong"),
+        ('[input]\ncolumn = "duty"\nunit = "%"\n[output]\ncolumn = "angle"\nunit = "rad"', "angle"),
+        ('[input\ncolumn = "duty"', "line 1"),
+        (
+            '[input]\ncolumn = "duty"\nunit = "%"\n[output]\ncolumn = "q"\nunit = "rad"\n'
+            '[structure]\neffects = ["gravty"]',
+            "gravity",
+        ),
+    ],
+)
+def test_bad_rig_files_are_refused(capsys, bench, rig, names):
+    (bench / "r.toml").write_text(rig)
+    assert names in refused(capsys, bench, "identify", "good.csv", "--rig", "r.toml", "--out", "new.toml")
+
+
+def test_files_that_are_not_what_they_should_be(capsys, bench):
+    (bench / "no.fmu").write_bytes(b"PK\x03\x04 this is no archive")
+    for arguments in (
+        ["simulate", "no.fmu", "--log", "good.csv"],
+        ["check", "no.fmu", "--log", "good.csv", "--max-nrmse", "5"],
+        ["check", "good.csv", "--log", "good.csv", "--max-nrmse", "5"],
+        ["update", "no.fmu", "--from", "model.toml"],
+        ["update", "arm.fmu", "--from", "base.toml"],
+        ["update", "arm.fmu", "--from", "c.toml"],
+        ["export", "good.csv", "--out", "new.fmu"],
+        ["export", "nothere.toml", "--out", "new.fmu"],
+        ["control", "c.toml", "--out", "new.toml"],
+        ["control", "model.toml", "--out", "new.toml", "--bandwidth", "-1"],
+        ["cosim", "arm.fmu", "model.toml"],
+        ["cosim", "no.fmu", "c.toml"],
+        ["cosim", "arm.fmu", "c.toml", "--reference", "good.csv"],
+        ["diagnose", "good.csv", "--model", "good.csv", "--out", "new.toml"],
+    ):
+        refused(capsys, bench, *arguments)
+
+
+def test_wrong_arguments_take_one_line(capsys, bench):
+    assert "did you mean identify" in refused(capsys, bench, "identfy", "good.csv")
+    assert "did you mean gravity" in refused(
+        capsys, bench, "identify", "good.csv", "--with", "gravty", "--out", "new.toml"
+    )
+    for effect, says in (("spring", "no such effect"), ("inertia", "input gain"), ("sprung", "did you mean spring")):
+        assert says in refused(capsys, bench, "identify", "good.csv", "--without", effect, "--out", "new.toml")
+    assert "--out" in refused(capsys, bench, "identify", "good.csv")
+    assert "--native" in refused(capsys, bench, "export", "model.toml", "--native", "--out", "new.fmu")
+    assert "native" in refused(capsys, bench, "export", "model.toml", "--fmi", "3", "--out", "new.fmu")
+    assert "percentage" in refused(capsys, bench, "check", "arm.fmu", "--log", "good.csv", "--max-nrmse", "small")
+    assert "above 0" in refused(capsys, bench, "check", "arm.fmu", "--log", "good.csv", "--max-nrmse", "0")
+    assert "two different outputs" in refused(
+        capsys, bench, "diagnose", "good.csv", "--out", "new.toml", "--report", "new.toml"
+    )
+    refused(capsys, bench)
+
+
+# ---- nothing is overwritten ----
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["identify", "good.csv", "--out", "base.toml"],
+        ["export", "model.toml", "--out", "arm.fmu"],
+        ["export", "model.toml", "--out", "new.fmu", "--json", "good.csv"],
+        ["update", "arm.fmu", "--from", "other.toml", "--out", "base.toml"],
+        ["simulate", "arm.fmu", "--log", "good.csv", "--out", "good.csv"],
+        ["diagnose", "good.csv", "--out", "base.toml"],
+        ["diagnose", "good.csv", "--out", "new.toml", "--report", "base.toml"],
+        ["control", "model.toml", "--out", "c.toml"],
+        ["cosim", "arm.fmu", "c.toml", "--out", "good.csv"],
+    ],
+)
+def test_nothing_is_overwritten(capsys, bench, arguments):
+    assert "--force" in refused(capsys, bench, *arguments)
+
+
+def test_a_folder_with_results_is_not_overwritten(capsys, bench):
+    (bench / "out").mkdir()
+    (bench / "out" / "report.html").write_text("mine")
+    assert "report.html" in refused(capsys, bench, "run", "good.csv", "--out", "out")
+    assert "is a file" in refused(capsys, bench, "run", "good.csv", "--out", "good.csv")
+    assert "not a folder" in refused(capsys, bench, "run", "good.csv", "--out", "no/such/place")
+
+
+def test_force_overwrites_and_update_needs_none(capsys, bench):
+    old = (bench / "arm.fmu").read_bytes()
+    assert call(capsys, "export", "other.toml", "--out", "arm.fmu", "--force")[0] == 0
+    assert package.read_model(bench / "arm.fmu").values["input_gain"] == 0.5
+    (bench / "arm.fmu").write_bytes(old)
+    code, out, _ = call(capsys, "update", "arm.fmu", "--from", "other.toml", "--json", "-")
+    assert code == 0
+    assert json.loads(out)["changed"] == {"input_gain": [0.4, 0.5]}
+    assert package.read_model(bench / "arm.fmu").values["input_gain"] == 0.5
+
+
+# ---- what the commands do ----
+
+
+def test_simulate_writes_what_the_fmu_did(capsys, bench):
+    code, out, _ = call(capsys, "simulate", "arm.fmu", "--log", "good.csv", "--out", "s.csv", "--json", "j.json")
+    assert code == 0 and "RMSE" in out
+    lines = (bench / "s.csv").read_text().splitlines()
+    assert lines[0] == "time,input,recorded,position_measured,velocity"
+    table = np.genfromtxt(bench / "s.csv", delimiter=",", skip_header=1)
+    assert len(table) == 2000
+    error = np.sqrt(np.nanmean((table[:, 3] - table[:, 2]) ** 2))
+    said = json.loads((bench / "j.json").read_text())["fit"][0]
+    assert said["rmse"] == pytest.approx(error, rel=1e-6)
+    assert said["rmse"] < 1e-3  # the FMU is the truth that was recorded, but for the count
+    assert said["nrmse_percent"] == pytest.approx(100 * error / np.ptp(table[np.isfinite(table[:, 2]), 2]), rel=1e-6)
+
+
+def test_several_recordings_are_named_in_the_table(capsys, bench):
+    (bench / "list.csv").write_text("file,role\ngood.csv,train\ngood.csv,holdout\n")
+    assert call(capsys, "simulate", "arm.fmu", "--log", "list.csv", "--out", "s.csv")[0] == 0
+    lines = (bench / "s.csv").read_text().splitlines()
+    assert lines[0].startswith("recording,time,") and lines[1].startswith("good.csv,0")
+    assert len(lines) == 4001
+
+
+def test_check_is_for_ci(capsys, bench):
+    arguments = ["check", "arm.fmu", "--log", "good.csv", "--json", "-", "--max-nrmse"]
+    assert call(capsys, *arguments, "1%")[0] == 0
+    code, out, _ = call(capsys, *arguments, "1e-6")
+    assert code == 1
+    answer = json.loads(out)
+    assert answer["holds"] is False and answer["fit"][0]["nrmse_percent"] > 1e-6
+
+
+def test_quiet_says_nothing(capsys, bench):
+    assert call(capsys, "export", "model.toml", "--out", "q.fmu", "--quiet") == (0, "", "")
+    assert call(capsys, "check", "arm.fmu", "--log", "good.csv", "--max-nrmse", "1", "--quiet") == (0, "", "")
+
+
+def test_json_to_stdout_is_nothing_but_json(capsys, bench):
+    for arguments in (
+        ["export", "model.toml", "--out", "q.fmu"],
+        ["control", "model.toml", "--out", "q.toml", "--bandwidth", "2"],
+        ["cosim", "arm.fmu", "c.toml", "--reference", "sine"],
+    ):
+        code, out, _ = call(capsys, *arguments, "--json", "-")
+        assert code == 0
+        assert json.loads(out, parse_constant=pytest.fail)["format"].startswith("twin-")
+
+
+def test_cosim_writes_its_run(capsys, bench):
+    code, out, _ = call(capsys, "cosim", "arm.fmu", "c.toml", "--out", "run.csv")
+    assert code == 0 and "link errs by" in out
+    table = np.genfromtxt(bench / "run.csv", delimiter=",", names=True)
+    assert table.dtype.names == ("time", "reference", "position", "input")
+    assert np.max(np.abs(table["position"] - table["reference"])) < 0.1
+
+
+def test_two_stage_says_what_it_lacks(capsys, bench):
+    said = refused(capsys, bench, "identify", "good.csv", "--method", "two-stage", "--out", "new.toml")
+    assert "two-stage" in said and "joint" in said
+
+
+# ---- diagnose and run, with the search itself left out ----
+
+
+@pytest.fixture
+def known_answer(monkeypatch):
+    def diagnose(recordings, first, held=None, progress=None):
+        progress("searching", 0.5)
+        diagnose.first = first
+        return example()
+
+    monkeypatch.setattr(extend, "diagnose", diagnose)
+    monkeypatch.setattr(pipeline, "compile_kernel", lambda tell: None)
+    return diagnose
+
+
+def keys(value) -> object:
+    """The shape of a JSON value: keys, and the shape of the first of a list."""
+    if isinstance(value, dict):
+        return {k: keys(v) for k, v in value.items()}
+    return [keys(value[0])] if isinstance(value, list) and value else type(value).__name__
+
+
+def contains(shape, wanted) -> bool:
+    if isinstance(wanted, dict):
+        return isinstance(shape, dict) and all(k in shape and contains(shape[k], v) for k, v in wanted.items())
+    if isinstance(wanted, list):
+        return isinstance(shape, list) and contains(shape[0], wanted[0])
+    return not isinstance(shape, dict | list) or wanted == "str"
+
+
+def test_diagnosis_is_what_the_contract_promises(capsys, bench, known_answer):
+    if not (SHARED / "contract.md").exists():
+        pytest.skip("the contract is not beside the project")
+    code, out, _ = call(capsys, "diagnose", "good.csv", "--out", "better.toml", "--report", "r.html", "--json", "-")
+    assert code == 0
+    text = (SHARED / "contract.md").read_text(encoding="utf-8")
+    promised = json.loads(re.search(r"```json\n(.*?)```", text, re.DOTALL).group(1))
+    promised["effects"][0]["parameters"] = {"gravity_gain": {"value": 1.0, "std": 1.0, "unit": "s"}}
+    answer = json.loads(out, parse_constant=pytest.fail)
+    assert contains(keys(answer), keys(promised)), (keys(answer), keys(promised))
+    assert answer["verdict"] == "explained"
+    assert "gravity" in tomllib.loads((bench / "better.toml").read_text())["structure"]["effects"]
+    assert (bench / "r.html").read_text().startswith("<!DOCTYPE html>")
+    assert Path(answer["next_experiment"]["file"]).read_text().startswith("time,duty\n")
+
+
+def test_the_first_model_is_the_users_choice(capsys, bench, known_answer):
+    base = base_structure()
+    for more, expected in (
+        ([], base),
+        (["--with", "gravity"], base.with_("gravity")),
+        (["--without", "backlash"], base.without("backlash", "tooth_compliance")),
+        (["--with", "spring", "--without", "dead_band"], base.with_("spring").without("dead_band")),
+        (["--model", "model.toml"], model_of("gravity").structure),
+        (["--model", "model.toml", "--without", "gravity"], model_of().structure),
+    ):
+        assert call(capsys, "diagnose", "good.csv", "--out", "better.toml", "--force", *more)[0] == 0
+        assert known_answer.first.ids == expected.ids
+
+
+def test_run_leaves_everything_in_its_folder(capsys, bench, known_answer):
+    code, out, err = call(capsys, "run", "good.csv", "--out", "out", "--bandwidth", "2", "--json", "run.json")
+    assert code == 0, err
+    assert {p.name for p in (bench / "out").iterdir()} == set(pipeline.FILES)
+    assert not [p for p in bench.iterdir() if p.name.startswith(".")]
+    assert "gravity" in out and "report.html" in out and "Assumed" in out
+    said = [line for line in out.splitlines() if not line.startswith(("Assumed", "Everything"))]
+    assert len(said) == 3
+    assert package.read_model(bench / "out/improved.fmu").structure == model_of("gravity").structure
+    assert package.read_model(bench / "out/arm.fmu").structure == model_of().structure
+    assert model.read(bench / "out/improved.toml").provenance["largest_command"] == "35"
+    assert controller.read(bench / "out/controller.toml").bandwidth == 2.0
+    diagnosis = json.loads((bench / "out/diagnosis.json").read_text())
+    assert diagnosis["next_experiment"]["file"] == "next_experiment.csv"
+    answer = json.loads((bench / "run.json").read_text(), parse_constant=pytest.fail)
+    assert answer["fmu"][1]["nrmse_percent"] < answer["fmu"][0]["nrmse_percent"]
+    assert all(not c["problems"] for c in answer["fmu"])
+    assert set(answer["files"]) == set(pipeline.FILES)
+    page = (bench / "out/report.html").read_text()
+    assert "phase margin" in page and "improved.fmu" in page
+    refused(capsys, bench, "run", "good.csv", "--out", "out")
+    assert call(capsys, "run", "good.csv", "--out", "out", "--force", "--quiet")[0] == 0
+
+
+def test_a_failing_search_leaves_nothing_behind(capsys, bench, monkeypatch):
+    def fail(*_, **__):
+        raise ZeroDivisionError("in the middle")
+
+    monkeypatch.setattr(pipeline, "compile_kernel", lambda tell: None)
+    monkeypatch.setattr(extend, "diagnose", fail)
+    before = state(bench)
+    code, _, err = call(capsys, "run", "good.csv", "--out", "out")
+    assert code == 3 and "internal error" in err and "Traceback" not in err
+    assert state(bench) == before and not (bench / "out").exists()
+
+
+def test_json_of_nothing_found_has_no_numbers_that_json_lacks():
+    found = json.loads(json.dumps(pipeline.diagnosis_json(example("unexplained"))), parse_constant=pytest.fail)
+    assert found["effects"] == [] and set(found) == set(finding.to_json(example()))
+
+
+# ---- the program itself ----
+
+
+def program(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "twin", *arguments], capture_output=True, text=True, check=False, encoding="utf-8",
+        env={**os.environ, **environment}, cwd=Path(__file__).resolve().parents[1],
+    )  # fmt: skip
+
+
+def test_help_is_there_for_every_command():
+    said = program("--help")
+    assert said.returncode == 0
+    for command in COMMANDS:
+        assert command in said.stdout
+    for command in ("run", "check"):
+        said = program(command, "--help")
+        assert said.returncode == 0 and "--json" in said.stdout and "--quiet" in said.stdout
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys; from twin import cli; cli._parser();"
+        "print([m for m in ('numpy', 'scipy', 'matplotlib') if m in sys.modules])"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "[]"
+
+
+def test_a_poor_console_gets_plain_text(shelf, tmp_path):
+    said = program(
+        "check", str(shelf / "arm.fmu"), "--log", str(shelf / "good.csv"), "--max-nrmse", "5",
+        PYTHONIOENCODING="ascii", PYTHONUTF8="0",
+    )  # fmt: skip
+    assert said.returncode == 0, said.stderr
+    assert "The twin fits" in said.stdout
