@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from twin import compare, explain, identify, likelihood, locate, package
-from twin.axis import BASE, Structure
-from twin.effects.catalogue import CANDIDATES, EFFECTS
+from twin import compare, experiment, explain, identify, likelihood, locate, package, unknown
+from twin.axis import Structure
+from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS
+from twin.errors import BadInput
 from twin.explain import Hypothesis, Round
 from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace
 from twin.likelihood import Case, Point
@@ -27,8 +28,6 @@ Progress = Callable[[str, float], None]
 TRAINING = 0.7
 #: More effects than this at once are not looked for.
 MOST = 4
-#: Leftover share of the missing torque, held out, that counts as structure.
-LEFTOVER = 0.15
 _TIMED = ("load_change", "thermal_fade", "periodic_disturbance")
 
 
@@ -121,6 +120,7 @@ def search(
         if less is fine:
             break
         fine = less
+    cases, fine = identify.polish(cases, fine)
     return Search(first_point, fine, tuple(rounds), tuple(cases))
 
 
@@ -142,9 +142,10 @@ def _free_run(fmu: Path, recording: Recording, since: float, timed: bool) -> np.
     """
     keep = recording.time >= since
     if since > 0.0 and not timed:
-        part = recording.part(since, float(recording.time[-1]))
-        ran = package.replay(fmu, part)
-        return _seen(ran, recording)
+        # A second ahead, in what was fitted, so that lag, gap and delay line are filled when it counts.
+        begin = max(since - 1.0, 0.0)
+        part = recording.part(begin, float(recording.time[-1]))
+        return _seen(package.replay(fmu, part), recording)[recording.time[recording.time >= begin] >= since]
     ran = package.replay(fmu, recording)
     seen = _seen(ran, recording)[keep]
     if since > 0.0 and not recording.is_speed:
@@ -225,7 +226,7 @@ def _findings(found: Search, model: Model, first: Structure) -> tuple[Finding, .
     named, _ = _probabilities(found)
     out = []
     for effect in model.structure.named:
-        if effect in first:
+        if effect in first or effect.startswith("unknown_"):
             continue
         page = EFFECTS[effect]
         parameters = {
@@ -256,6 +257,32 @@ def _undecided(found: Search) -> tuple[tuple[str, str, str], ...]:
     return tuple(out)
 
 
+def _nameless(found: Search, left: unknown.Leftover) -> Point:
+    """The first model with the term of no known shape that serves it best, or as it is if none does."""
+    terms = unknown.which_variables(left)
+    tried = [unknown.fit_unknown(found.cases, found.first, v) for v in terms]
+    best = min(tried, key=compare.criterion, default=found.first)
+    return best if compare.criterion(best) < compare.criterion(found.first) - compare.LEAST else found.first
+
+
+def _next(found: Search) -> Experiment:
+    """The input that would tell the closest rivals apart, or fix what is known worst."""
+    cases = identify.with_steps(found.cases, found.last.structure)
+    close = [
+        h.point
+        for this in found.rounds
+        for h in this.rivals
+        if h.point.structure.named != found.last.structure.named
+        and compare.criterion(h.point) - compare.criterion(found.last) < 4.0 * compare.TEMPER
+    ]
+    try:
+        if close:
+            return experiment.separate([found.last, *close[:1]], cases)
+        return experiment.sharpen(found.last, cases)
+    except BadInput as error:
+        return Experiment(why=f"no experiment was designed: {error}")
+
+
 def diagnose(
     recordings: Sequence[Recording],
     first: Structure,
@@ -278,10 +305,16 @@ def diagnose(
     train, held_out = split(recordings)
     found = search(train, first, held, candidates, progress)
     lap("search")
+    case = max(found.cases, key=lambda c: float(c.drive.time[-1]))
+    left = [unknown.leftover(case, p.structure, p.values) for p in (found.first, found.last)]
+    named = bool(set(found.last.structure.named) - set(first.named))
+    verdict = unknown.verdict(named, left[0], left[1])
+    if verdict == "unexplained":
+        tell("drawing a term for what has no name", 0.85)
+        found = replace(found, last=_nameless(found, left[0]), rounds=found.rounds[:1])
+        lap("term without a name")
     before = identify.to_model(found.first, train, "joint", held)
     after = identify.to_model(found.last, train, "joint", held)
-    longest = max(range(len(found.cases)), key=lambda i: found.cases[i].drive.time[-1])
-    case = found.cases[longest]
     missing = [
         locate.missing_torque(identify.with_steps([case], p.structure)[0], p.structure, p.values)
         for p in (found.first, found.last)
@@ -301,9 +334,10 @@ def diagnose(
     }
     lap("held-out check through FMPy")
     findings = _findings(found, after, first)
-    leftover = shapes[1][0].share
-    verdict = _verdict(bool(findings), leftover)
-    depends = tuple(EFFECTS[findings[0].id].depends_on) if findings else tuple(locate.depends_on(missing[0]))
+    tell("designing the next experiment", 0.95)
+    designed = _next(found)
+    lap("next experiment")
+    depends = tuple(EFFECTS[findings[0].id].depends_on) if findings else left[0].variables
     _, ranking = _probabilities(found)
     return Diagnosis(
         verdict=verdict,
@@ -322,17 +356,11 @@ def diagnose(
         shapes_after=shapes[1],
         recordings=tuple(recordings),
         faults=tuple(f for r in recordings for f in r.faults),
-        experiment=Experiment(),
+        experiment=designed,
         undecided=_undecided(found),
         remarks=tuple(_remarks(fit, findings)),
         seconds=seconds,
     )
-
-
-def _verdict(named: bool, leftover: float) -> str:
-    if leftover < LEFTOVER:
-        return "explained" if named else "nothing_missing"
-    return "partly_explained" if named else "unexplained"
 
 
 def _remarks(fit: Mapping[str, Mapping[str, Fitness]], findings: Sequence[Finding]) -> list[str]:

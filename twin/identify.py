@@ -18,7 +18,8 @@ from dataclasses import replace
 import numpy as np
 
 from twin import likelihood
-from twin.axis import BASE, Structure
+from twin.axis import Structure
+from twin.effects.catalogue import BASE
 from twin.errors import BadInput
 from twin.likelihood import Case, Point
 from twin.model import Model
@@ -136,11 +137,56 @@ def refine(cases: Sequence[Case], structure: Structure, coarse_point: Point, hel
     return point
 
 
+_RIDGE = ("dead_band_forward", "dead_band_reverse")
+_FOLLOW = ("input_gain", "viscous_friction")
+
+
+def _along_ridge(cases: Sequence[Case], point: Point) -> Point:
+    """Scan both sides of the dead-band together, gain and friction following: along this ridge of the likelihood
+    there are valleys a tenth of a percent of the input apart, and a gradient stays in the first.
+    """
+    d, o = ([point.free.index(n) for n in names] for names in (_RIDGE, _FOLLOW))
+    follow = -np.linalg.solve(point.normal[np.ix_(o, o)], point.normal[np.ix_(o, d)]).sum(axis=1)
+    reach = 0.01 * max(float(np.max(np.abs(c.recording.input))) for c in cases)
+    trials = []
+    for x in np.linspace(-reach, reach, 41):
+        moved = {n: max(point.values[n] + x, 0.0) for n in _RIDGE}
+        moved |= {n: max(point.values[n] + f * x, 1e-9) for n, f in zip(_FOLLOW, follow, strict=True)}
+        trials.append({**point.values, **moved})
+    best = min(trials, key=lambda v: likelihood.evaluate(cases, point.structure, v, point.density).deviance)
+    return likelihood.climb(cases, point.structure, best, point.density, point.free, rounds=15)
+
+
+def polish(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:
+    """Leave the local valleys that a climb from the coarse values ends in: the contact at the start, the ridge."""
+    mine = with_steps(cases, point.structure)
+    if "backlash" in point.structure:
+        chosen = []
+        for case in mine:
+            trials = [replace(case, contact=s) for s in (case.contact, -1.0, 0.0, 1.0)]
+            chosen.append(
+                min(
+                    trials,
+                    key=lambda c: likelihood.evaluate([c], point.structure, point.values, point.density).deviance,
+                )
+            )
+        if [c.contact for c in chosen] != [c.contact for c in mine]:
+            mine = chosen
+            point = likelihood.climb(mine, point.structure, point.values, point.density, point.free, rounds=15)
+    if all(n in point.free for n in (*_RIDGE, *_FOLLOW)):
+        for _ in range(3):
+            other = _along_ridge(mine, point)
+            if other.deviance > point.deviance - 1.0:
+                break
+            point = likelihood.fit(mine, point.structure, other.values, point.free, point.density)
+    return mine, point
+
+
 def joint(recordings: Sequence[Recording], structure: Structure, held: Mapping[str, float] | None = None) -> Point:
     """Maximum-likelihood estimate of a structure from recordings; `held` parameters keep their value."""
     held = dict(held or {})
     cases, point = start(recordings, structure, held)
-    return refine(cases, structure, point, held)
+    return polish(cases, refine(cases, structure, point, held))[1]
 
 
 def base_structure() -> Structure:
@@ -223,5 +269,7 @@ def identify(
     tell("a coarse fit", 0.0)
     held = dict(held or {})
     cases, point = start(train, structure, held)
-    tell("the full likelihood", 0.5)
-    return to_model(refine(cases, with_teeth(structure), point, held), train, "joint", held)
+    tell("the full likelihood", 0.3)
+    point = refine(cases, with_teeth(structure), point, held)
+    tell("leaving local valleys", 0.7)
+    return to_model(polish(cases, point)[1], train, "joint", held)

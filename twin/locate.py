@@ -47,7 +47,8 @@ class Missing:
             "time": self.time,
             "direction": np.sign(self.velocity) * (np.abs(self.velocity) > 0.02 * np.nanmax(np.abs(self.velocity))),
         }
-        return table[variable]
+        chosen: FloatArray = table[variable]
+        return chosen
 
 
 VARIABLES = ("position", "velocity", "direction", "acceleration", "input", "time")
