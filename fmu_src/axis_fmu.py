@@ -55,7 +55,8 @@ class Axis(Fmi2Slave):
         self.variables = face["variables"]
         references = {variable["name"]: variable["reference"] for variable in self.variables}
         self.v = [values.get(variable["name"], 0.0) for variable in self.variables]
-        self.states = [references[name] for name in face["states"]]
+        self.outer = references["position"]  # position and velocity
+        self.hidden = references["gap"]  # the other five states, in the stepper's order
         self.known = [references.get(name) for name in face["known"]]
         self.parameters = [references[name] for name in face["parameters"]]
         self.starts = [references["position_start"], references["velocity_start"]]
@@ -70,7 +71,7 @@ class Axis(Fmi2Slave):
             self.values = references["delay_value[1]"]
         self.longest = face["longest_step"]
         self.round = face["round"]
-        self.x = [0.0] * len(self.states)
+        self.x = [0.0] * 7
         self.p = []
         self.k = []
         self.ready = False
@@ -119,8 +120,8 @@ class Axis(Fmi2Slave):
     def show(self):
         """Write the states where the importer reads them."""
         v, x = self.v, self.x
-        for i, value in zip(self.states, x):  # noqa: B905
-            v[i] = value
+        v[self.outer : self.outer + 2] = x[:2]
+        v[self.hidden : self.hidden + 5] = x[2:]
         v[self.measured] = x[0] + (sensor(x[0], self.p) if self.p else 0.0)  # noqa: F821
 
     # Steps
@@ -129,8 +130,9 @@ class Axis(Fmi2Slave):
         try:
             problem = self.problem(current_time, step_size)
             if not problem:
-                self.move(step_size)
-                self.show()
+                if step_size > 0.0:
+                    self.move(step_size)
+                    self.show()
                 self.clock = current_time + step_size
                 if finite(self.x[0]) and finite(self.x[1]):
                     return True
@@ -222,6 +224,9 @@ class Axis(Fmi2Slave):
             return [float("nan")] * len(vrs)
 
     def set_real(self, vrs, values):
+        if vrs == [0]:  # the input, at every step
+            self.v[0] = values[0]
+            return
         for i, value in zip(vrs, values):  # noqa: B905
             if i == 0:
                 self.v[0] = value
@@ -263,5 +268,5 @@ class Axis(Fmi2Slave):
         self.v[:] = state["v"]
         self.ready = state["ready"]
         self.clock = state["clock"]
-        self.x[:] = [self.v[i] for i in self.states]
+        self.x[:] = self.v[self.outer : self.outer + 2] + self.v[self.hidden : self.hidden + 5]
         self.changed = True

@@ -216,8 +216,7 @@ def test_a_saved_state_continues_identically(made):
         one.start({"gravity_gain": 4.0})
         drive(one, u[:301])
         state = one._slave.getFMUState()
-        written = one._slave.serializeFMUState(state) if hasattr(one._slave, "serializeFMUState") else None
-        written = one._slave.serializeFMUstate(state) if written is None else written
+        written = one._slave.serializeFMUstate(state)
         straight = drive(one, u[300:], first=at)
         one._set({"gravity_gain": 9.0})
         drive(one, u[::-1], first=899 * PERIOD)
@@ -282,6 +281,7 @@ def test_what_cannot_be_done_is_refused_and_leaves_the_axis_as_it_was(made):
         at = 49 * PERIOD
         for bad in (np.nan, np.inf):
             assert "input duty" in refused(instance, at, PERIOD, bad)
+        assert list(instance.step(at, 0.0, [1.0])) == list(seen[-1]), "a step of no length changes nothing"
         assert "goes back" in refused(instance, 0.0, PERIOD, 1.0)
         assert "jumps ahead" in refused(instance, 2 * at, PERIOD, 1.0)
         assert "negative" in refused(instance, at, -PERIOD, 1.0)

@@ -26,10 +26,11 @@ from twin import description
 from twin.archive import Fmu, open_fmu
 from twin.axis import KNOWN
 from twin.errors import BadInput
+from twin.files import check_free
 from twin.model import Model, dumps, loads
 from twin.recording import Recording
 from twin.running import running
-from twin.variables import OUTPUTS, ROUND, STATE_NAMES, delay_capacity, parameters_text, variables
+from twin.variables import OUTPUTS, ROUND, delay_capacity, parameters_text, variables
 from twin.writers import python
 
 FloatArray = NDArray[np.float64]
@@ -62,7 +63,6 @@ def interface(model: Model) -> dict[str, Any]:
     shown = variables(model)
     return {
         "variables": [{k: getattr(v, k) for k in ("name", "reference", "causality", "min", "max")} for v in shown],
-        "states": list(STATE_NAMES),
         "known": list(KNOWN),
         "parameters": [p.name for p in model.structure.parameters],
         "delay_capacity": delay_capacity(model),
@@ -97,12 +97,7 @@ def described(model: Model) -> bytes:
 
 def export(model: Model, out: Path, force: bool = False) -> Path:
     """Write the model's FMU (FMI 2.0 co-simulation, through pythonfmu). Raises BadInput."""
-    if out.exists() and not force:
-        raise BadInput(f"{out} is there already: choose another name, or overwrite it with --force")
-    if not out.parent.is_dir():
-        raise BadInput(f"{out.parent} is not a folder: make it first, or choose another place with --out")
-    if out.is_dir():
-        raise BadInput(f"{out} is a folder: give the name of a file with --out")
+    check_free(out, force)
     resources = {
         "interface.json": json.dumps(interface(model), indent=1) + "\n",
         "parameters.txt": parameters_text(model),
