@@ -27,6 +27,8 @@ def predict(time, command, measured, gains, speed, closed, law, x, p, k, longest
     delay = 0.0
     if has.input_delay:
         delay = p.delay
+    # An edge within rounding of a stamp is on it: a piece of 1e-16 s would only upset what sticks.
+    rounding = 1e-6 * longest
     for i in range(count):
         reading = x.velocity if speed else x.position + sensor(x.position, p)
         predicted[i] = reading
@@ -46,13 +48,13 @@ def predict(time, command, measured, gains, speed, closed, law, x, p, k, longest
         now = time[i]
         end = time[i + 1]
         while now < end:
-            while edge < i and time[edge + 1] + delay <= now:
+            while edge < i and time[edge + 1] + delay <= now + rounding:
                 edge += 1
             until = end
-            if edge < i and time[edge + 1] + delay < end:
+            if edge < i and time[edge + 1] + delay < end - rounding:
                 until = time[edge + 1] + delay
             acting = command[edge]
-            if time[edge] + delay > now:
+            if time[edge] + delay > now + rounding:
                 acting = 0.0
                 if time[edge] + delay < until:
                     until = time[edge] + delay
@@ -87,7 +89,8 @@ def predict_t(
     delay = 0.0
     d_delay = zero()
     if has.input_delay:
-        delay = p.delay
+        # An edge on a stamp has no derivative there: it is looked at from just behind.
+        delay = p.delay + 1e-7
         d_delay = row(pd, index.delay)
     for i in range(count):
         offset, d_offset = sensor_t(x.position, row(xd, 0), x, xd, p, pd, k)
