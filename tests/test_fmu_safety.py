@@ -292,7 +292,6 @@ def quoted(text: str) -> str:
     return '"' + "".join(c if c.isalnum() and c.isascii() else f"\\u{min(ord(c), 0xD7FF):04x}" for c in text) + '"'
 
 
-@pytest.mark.xfail(reason="a list among the effects or as a unit is a TypeError in twin.model", strict=False)
 @SLOW
 @given(st.integers(0, 200), toml_values)
 def test_fuzz_values_of_the_model_file(line, value):

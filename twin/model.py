@@ -153,7 +153,7 @@ def loads(text: str, where: str = "model") -> Model:
     if not isinstance(ids, list) or not ids:
         raise BadInput(f'{where}: [structure] has no list `effects`: add one, such as ["inertia"]')
     for i in ids:
-        if i not in EFFECTS:
+        if not isinstance(i, str) or i not in EFFECTS:
             raise BadInput(f"{where}: unknown effect {i!r} in [structure]; known are {', '.join(EFFECTS)}")
     structure = Structure.of(ids)
     tables = _table(where, document, "parameters")
@@ -181,7 +181,7 @@ def loads(text: str, where: str = "model") -> Model:
     axis_unit, input_unit = axis.get("unit", "rad"), axis.get("input_unit", "%")
     if axis_unit not in ("rad", "m"):
         raise BadInput(f'{where}: [axis] unit is {axis_unit!r}: use "rad" or "m"')
-    if input_unit not in INPUT_NAMES:
+    if input_unit not in tuple(INPUT_NAMES):
         raise BadInput(f"{where}: [axis] input_unit is {input_unit!r}: use one of {', '.join(INPUT_NAMES)}")
     sample_time = _finite(f"{where}: [axis] sample_time", axis.get("sample_time", 0.002))
     if not 0.0 < sample_time <= 10.0:
@@ -213,7 +213,7 @@ def _covariance(
 ) -> tuple[tuple[str, ...], NDArray[np.float64]]:
     names = table.get("parameters", [])
     rows = table.get("matrix", [])
-    if not isinstance(names, list) or any(n not in values for n in names):
+    if not isinstance(names, list) or any(n not in tuple(values) for n in names):
         raise BadInput(
             f"{where}: [covariance] parameters must be names of the model's parameters: correct the list"
         )
