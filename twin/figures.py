@@ -338,6 +338,7 @@ def pieces(found: TwoStage, output_unit: str) -> str:
             right.axhspan(found.b - std, found.b + std, color=AFTER, alpha=0.18, linewidth=0.0)
             right.axhline(found.b, color=AFTER)
         right.set_xlabel("piece")
+        right.xaxis.set_major_locator(MaxNLocator(8, integer=True))
         right.set_ylabel("b, 1/s")
         right.set_title("b of each piece and of all together")
 

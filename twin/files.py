@@ -21,8 +21,15 @@ def check_free(out: Path, force: bool) -> None:
         raise BadInput(f"{out} is a folder: give the name of a file")
     if out.exists() and not force:
         raise BadInput(f"{out} is there already: choose another name, or overwrite it with --force")
-    if not out.parent.is_dir():
-        raise BadInput(f"{out.parent} is not a folder: make it first, or choose another place")
+    check_place(out.parent)
+
+
+def check_place(folder: Path) -> None:
+    """Raises BadInput where nothing can be written into a folder."""
+    if not folder.is_dir():
+        raise BadInput(f"{folder} is not a folder: make it first, or choose another place with --out")
+    if not os.access(folder, os.W_OK):
+        raise BadInput(f"{folder} may not be written to: choose another place with --out")
 
 
 def put(out: Path, text: str) -> None:

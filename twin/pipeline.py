@@ -20,7 +20,7 @@ from twin import two_stage as stages
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.errors import BadInput
-from twin.files import json_text, plain, put
+from twin.files import check_place, json_text, plain, put
 from twin.finding import Diagnosis, Experiment
 from twin.model import Model
 from twin.recording import Recording, Rig, load
@@ -139,8 +139,7 @@ def check_folder(out: Path, force: bool) -> None:
     there = [name for name in FILES if (out / name).exists()]
     if there and not force:
         raise BadInput(f"{out} holds {there[0]} already: choose another folder, or overwrite with --force")
-    if not out.parent.is_dir():
-        raise BadInput(f"{out.parent} is not a folder: make it first, or choose another place with --out")
+    check_place(out if out.is_dir() else out.parent)
 
 
 def estimate(recordings: Sequence[Recording], structure: Structure, method: str, tell: Progress) -> Model:

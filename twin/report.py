@@ -289,7 +289,8 @@ def _recordings_table(d: Diagnosis) -> str:
 
 def _residual(story: Story) -> str:
     d = story.diagnosis
-    longest = escape(d.traces[0].name) if len(d.recordings) > 1 and d.traces else "the recording"
+    trained = [r for r in d.recordings if r.role == "train"]
+    longest = escape(max(trained, key=lambda r: r.time[-1]).name) if len(d.recordings) > 1 else "the recording"
     changed = len(figures.models(d)) > 1
     parts = [
         _said(
