@@ -272,7 +272,7 @@ def _next(found: Search) -> Experiment:
         h.point
         for this in found.rounds
         for h in this.rivals
-        if h.point.structure.named != found.last.structure.named
+        if not set(h.point.structure.named) >= set(found.last.structure.named)
         and compare.criterion(h.point) - compare.criterion(found.last) < 4.0 * compare.TEMPER
     ]
     try:

@@ -26,7 +26,7 @@ EFFECT = Effect(
     sentence="Dry friction of {coulomb_friction} opposes every motion and holds the axis at rest below that.",
     reference="Armstrong-Helouvry, Dupont, Canudas de Wit, A survey of models ... with friction, Automatica 30, 1994",
     confused_with={
-        "dead_band": "coast-downs and plugging: friction acts with the sign of the speed, dead-band with that of the duty",
+        "dead_band": "coast-downs and plugging: friction goes by the sign of the speed, dead-band by that of the duty",
         "stribeck_friction": "slow ramps: dwell at low speed",
     },
     screen=Screen("coulomb_friction"),

@@ -31,7 +31,8 @@ EFFECT = Effect(
     depends_on=("position",),
     promises=frozenset({"memoryless"}),
     sentence="The link meets a stop at {stop_upper} or {stop_lower}.",
-    reference="Hunt, Crossley, Coefficient of restitution interpreted as damping in vibroimpact, J. Appl. Mech. 42, 1975",
+    reference="Hunt, Crossley, Coefficient of restitution interpreted as damping in vibroimpact, J. "
+    "Appl. Mech. 42, 1975",
     confused_with={"spring": "rest in mid-travel: a stop acts only beyond its angle"},
     screen=Screen("stop_stiffness"),
     substeps=8,

@@ -25,7 +25,8 @@ EFFECT = Effect(
     law=None,
     depends_on=("acceleration", "input"),
     promises=frozenset({"state"}),
-    sentence="Between motor and link something elastic lets the link ring at {joint_frequency} (damping ratio {joint_damping}).",
+    sentence="Between motor and link something elastic lets the link ring at {joint_frequency} (damping "
+    "ratio {joint_damping}).",
     reference="Spong, Modeling and control of elastic joint robots, J. Dyn. Syst. 109, 1987",
     confused_with={
         "motor_lag": "steps: look for ringing after the edge",
