@@ -236,7 +236,14 @@ def _findings(found: Search, model: Model, first: Structure) -> tuple[Finding, .
             for p in EFFECTS[i].parameters
         }
         out.append(
-            Finding(effect, page.station, named[effect], says(effect, model), latex.equation(effect), parameters)
+            Finding(
+                effect,
+                page.station,
+                named[effect],
+                says(effect, model),
+                latex.equation(effect, model.axis_unit),
+                parameters,
+            )
         )
     return tuple(sorted(out, key=lambda f: -f.probability))
 
@@ -313,8 +320,8 @@ def diagnose(
         tell("drawing a term for what has no name", 0.85)
         found = replace(found, last=_nameless(found, left[0]), rounds=found.rounds[:1])
         lap("term without a name")
-    before = identify.to_model(found.first, train, "joint", held)
-    after = identify.to_model(found.last, train, "joint", held)
+    before = identify.to_model(found.cases, found.first, train, held)
+    after = identify.to_model(found.cases, found.last, train, held)
     missing = [
         locate.missing_torque(identify.with_steps([case], p.structure)[0], p.structure, p.values)
         for p in (found.first, found.last)

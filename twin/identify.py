@@ -16,8 +16,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from twin import likelihood
+from twin import likelihood, two_stage
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
@@ -194,9 +195,8 @@ def base_structure() -> Structure:
     return Structure.of([*BASE, "tooth_compliance"])
 
 
-def _notes(point: Point) -> dict[str, str]:
+def _notes(point: Point, covariance: NDArray[np.float64]) -> dict[str, str]:
     """What the recording cannot fix, and what would."""
-    covariance = point.covariance * 1.0
     size = np.sqrt(np.diag(covariance))
     notes = {}
     for i, name in enumerate(point.free):
@@ -222,8 +222,9 @@ def _remedy(name: str, partner: str) -> str:
     return "add steps at more duties, coast-downs and slow ramps"
 
 
-def to_model(point: Point, recordings: Sequence[Recording], method: str, held: Mapping[str, float]) -> Model:
-    """The point as a model, with where it comes from."""
+def to_model(cases: Sequence[Case], point: Point, recordings: Sequence[Recording], held: Mapping[str, float]) -> Model:
+    """The point as a model, with standard errors and where it comes from."""
+    covariance = likelihood.robust_covariance(with_steps(cases, point.structure), point)
     first = recordings[0]
     variance = likelihood.prepare(first, point.structure).reading_variance * point.scale
     known = {k: v for k, v in likelihood.known_quantities(first).items() if v}
@@ -231,8 +232,8 @@ def to_model(point: Point, recordings: Sequence[Recording], method: str, held: M
         structure=point.structure,
         values={p.name: float(point.values[p.name]) for p in point.structure.parameters},
         fitted=point.free,
-        covariance=point.covariance,
-        notes=_notes(point),
+        covariance=covariance,
+        notes=_notes(point, covariance),
         axis_unit=first.output_unit.removesuffix("/s"),
         input_unit=first.input_unit,
         sample_time=float(np.round(np.median(np.diff(first.time)), 9)),
@@ -242,7 +243,7 @@ def to_model(point: Point, recordings: Sequence[Recording], method: str, held: M
         torque_density=point.density * variance,
         known={**known, **({"inertia": first.known["inertia"]} if "inertia" in first.known else {})},
         provenance={
-            "method": method,
+            "method": "joint",
             "recordings": ", ".join(r.name for r in recordings),
             **({"held": ", ".join(held)} if held else {}),
         },
@@ -262,14 +263,16 @@ def identify(
     if not train:
         raise BadInput("every recording has the role holdout: give at least one to fit")
     if method == "two-stage":
-        from twin import two_stage
-
         tell("steady states and transients", 0.0)
-        return two_stage.to_model(two_stage.two_stage(train), train)
+        stages = two_stage.two_stage(train)
+        if not stages.ok:
+            raise BadInput(f"{train[0].name}: the two-stage method gives no estimate: {stages.says}")
+        return two_stage.to_model(stages, train)
     tell("a coarse fit", 0.0)
     held = dict(held or {})
     cases, point = start(train, structure, held)
     tell("the full likelihood", 0.3)
     point = refine(cases, with_teeth(structure), point, held)
     tell("leaving local valleys", 0.7)
-    return to_model(polish(cases, point)[1], train, "joint", held)
+    cases, point = polish(cases, point)
+    return to_model(cases, point, train, held)
