@@ -138,6 +138,8 @@ def refine(cases: Sequence[Case], structure: Structure, coarse_point: Point, hel
     return point
 
 
+#: Bounded and kinked parameters, whose likelihood is no parabola.
+PROFILED = ("dead_band_forward", "dead_band_reverse", "backlash_gap")
 _RIDGE = ("dead_band_forward", "dead_band_reverse")
 _FOLLOW = ("input_gain", "viscous_friction")
 
@@ -275,4 +277,7 @@ def identify(
     point = refine(cases, with_teeth(structure), point, held)
     tell("leaving local valleys", 0.7)
     cases, point = polish(cases, point)
-    return to_model(cases, point, train, held)
+    model = to_model(cases, point, train, held)
+    tell("profiles of the likelihood", 0.85)
+    intervals = {n: likelihood.profile_interval(cases, point, n, model.std(n)) for n in PROFILED if n in point.free}
+    return replace(model, intervals=intervals)

@@ -352,6 +352,38 @@ def climb(
     return replace(best, converged=False, says="the search ran out of rounds")
 
 
+#: Deviance at the ends of a 95 % interval of one parameter.
+_CHI2_95 = 3.841
+
+
+def profile_interval(cases: Sequence[Case], point: Point, name: str, std: float) -> tuple[float, float]:
+    """95 % interval of a free parameter from the profile of the likelihood, all others refitted at each value.
+
+    For bounded and kinked parameters, whose likelihood is no parabola. `std` is the standard error to start from;
+    where it is wider than the information says, because the model errs a little, the interval is wider alike.
+    """
+    others = tuple(n for n in point.free if n != name)
+    i = point.free.index(name)
+    plain = math.sqrt(max(float(point.covariance[i, i]), 0.0))
+    wanted = _CHI2_95 * max(std / plain, 1.0) ** 2 if plain > 0.0 else _CHI2_95
+    low, high = _BOUNDS[name]
+    ends = []
+    for sign, bound in ((-1.0, low), (1.0, high)):
+        step, inside, end = 1.96 * std, 0.0, point.values[name]
+        for _ in range(4):
+            value = min(max(point.values[name] + sign * (inside + step), low), high)
+            trial = climb(cases, point.structure, {**point.values, name: value}, point.density, others, rounds=3)
+            rise = trial.deviance - point.deviance
+            end = value
+            if value == bound or 0.7 * wanted < rise < 1.4 * wanted:
+                break
+            # The profile is near a parabola in the distance: aim where it would reach the threshold.
+            factor = math.sqrt(wanted / rise) if rise > 0.0 else 2.0
+            step = (inside + step) * min(max(factor, 0.3), 2.0) - inside
+        ends.append(float(end))
+    return ends[0], ends[1]
+
+
 def best_density(
     cases: Sequence[Case], structure: Structure, values: Mapping[str, float], around: float | None = None
 ) -> float:
