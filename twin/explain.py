@@ -112,13 +112,14 @@ def grids(
     out["input_delay"] = [{"delay": t} for t in (0.002, 0.006, 0.015)]
     stops = []
     for high, low in ((1, 0), (0, 1), (1, 1)):
-        for inside in (0.005, 0.03):
+        # A stop gives by what the link runs in a few milliseconds, so it sits that much inside the furthest reading.
+        for depth in (0.002 * fast, 0.012 * fast):
             stops.append(
                 {
-                    "stop_upper": float(places.max()) - inside * travel if high else float(places.max()) + travel,
-                    "stop_lower": float(places.min()) + inside * travel if low else float(places.min()) - travel,
+                    "stop_upper": float(places.max()) - depth if high else float(places.max()) + travel,
+                    "stop_lower": float(places.min()) + depth if low else float(places.min()) - travel,
                     "stop_stiffness": 2e4,
-                    "stop_damping": 60.0,
+                    "stop_damping": 0.3,
                 }
             )
     out["end_stop"] = stops
