@@ -28,17 +28,20 @@ Progress = Callable[[str, float], None]
 TRAINING = 0.7
 #: More effects than this at once are not looked for.
 MOST = 4
+#: Coarse gain in deviance per reading that is worth a look at what comes after.
+LOOKAHEAD = 0.3
 _TIMED = ("load_change", "thermal_fade", "periodic_disturbance")
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """How a structure was arrived at: the first model, the last, and the rounds between."""
+    """How a structure was arrived at: the first model, the last, the rounds between, and the last less one effect."""
 
     first: Point
     last: Point
     rounds: tuple[Round, ...]
     cases: tuple[Case, ...]
+    lesser: tuple[Point, ...] = ()
 
 
 def _worth(before: Point, after: Point, explained: float) -> bool:
@@ -58,12 +61,15 @@ def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
     return out
 
 
-def _prune(
-    cases: Sequence[Case], first: Point, point: Point, held: Mapping[str, float], rivals: Sequence[Structure]
-) -> Point:
-    """The best of the smaller structures for as long as what they lack does not earn its place."""
-    tried = [explain.fine_fit(cases, s, [point.values], held, point.density) for s in rivals]
-    fair = [q for q in tried if not _worth(q, point, first.deviance - point.deviance)]
+def _fits(
+    cases: Sequence[Case], point: Point, held: Mapping[str, float], structures: Sequence[Structure]
+) -> list[Point]:
+    return [explain.fine_fit(cases, s, [point.values], held, point.density) for s in structures]
+
+
+def _fair(first: Point, point: Point, lesser: Sequence[Point]) -> Point:
+    """The best of the lesser fits whose lack does not matter, or the point itself."""
+    fair = [q for q in lesser if not _worth(q, point, first.deviance - point.deviance)]
     return min(fair, key=compare.criterion, default=point)
 
 
@@ -86,42 +92,64 @@ def search(
     tell("fitting the first model", 0.0)
     cases, rough = identify.start(recordings, first, held)
     fine = identify.refine(cases, identify.with_teeth(first), rough, held)
-    first_point = fine
+    first_point = best = fine
     rounds: list[Round] = []
+    astray = False
     for n in range(MOST):
         open_ = [c for c in candidates if c not in rough.structure]
-        tell(f"round {n + 1}: trying {len(open_)} effects", 0.15 + 0.2 * n)
+        tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)
         hypotheses = explain.coarse_round(cases, rough, open_)
-        tell(f"round {n + 1}: fitting the best {explain.FINALISTS}", 0.25 + 0.2 * n)
+        tell(f"round {n + 1}: fitting the best {explain.FINALISTS}", 0.15 + 0.2 * n)
         this = explain.fine_round(cases, fine, hypotheses, held)
         rounds.append(this)
         if n == 0:
-            first_point = this.before
+            first_point = best = this.before
+        elif not astray:
+            best = this.before
         winner = this.rivals[0]
         explained = first_point.deviance - winner.deviance
-        if not explain.plausible(cases, winner.point) or not _worth(this.before, winner.point, explained):
-            fine = this.before
+        if explain.plausible(cases, winner.point) and _worth(best, winner.point, explained):
+            fine = _plainer(cases, first_point, this, winner, held)
+            rough, fine = _rough(cases, hypotheses, fine, held)
+            best, astray = fine, False
+        elif not astray and rough.deviance - hypotheses[0].deviance > LOOKAHEAD * sum(c.count for c in cases):
+            # Two effects can mask each other: neither alone lets the noise fall. The coarse fit sees past that.
+            rough, astray = hypotheses[0].point, True
+            fine = next(h.point for h in this.rivals if h.added == hypotheses[0].added)
+        else:
             break
-        fine = winner.point
-        kept = this.before.structure.with_(*EFFECTS[winner.added[0]].includes)
-        if kept.named != this.before.structure.named:
-            # What a specialised friction adds to plain friction must earn its place by itself.
-            fine = _prune(cases, first_point, fine, held, [kept])
-        rigid = fine.structure.without("tooth_compliance")
-        again = identify.coarse(cases, rigid, fine.values, held)
-        named = [h.point for h in hypotheses if h.point.structure == rigid]
-        rough = min((again, *named), key=lambda p: p.deviance)
-        if rough is again:
-            retried = explain.fine_fit(cases, rigid, [{**fine.values, **again.values}], held, fine.density)
-            if retried.deviance < fine.deviance:
-                fine = retried
-    while len(fine.structure.named) > 1:
-        less = _prune(cases, first_point, fine, held, _smaller(fine.structure, first))
-        if less is fine:
+    lesser: list[Point] = []
+    while len(best.structure.named) > 1:
+        lesser = _fits(cases, best, held, _smaller(best.structure, first))
+        less = _fair(first_point, best, lesser)
+        if less is best:
             break
-        fine = less
-    cases, fine = identify.polish(cases, fine)
-    return Search(first_point, fine, tuple(rounds), tuple(cases))
+        best = less
+    cases, best = identify.polish(cases, best)
+    return Search(first_point, best, tuple(rounds), tuple(cases), tuple(lesser))
+
+
+def _plainer(cases: Sequence[Case], first: Point, this: Round, winner: Hypothesis, held: Mapping[str, float]) -> Point:
+    """The winner, or what it brought along alone: a specialised friction must earn its place beside plain friction."""
+    kept = this.before.structure.with_(*EFFECTS[winner.added[0]].includes)
+    if kept.named == this.before.structure.named:
+        return winner.point
+    return _fair(first, winner.point, _fits(cases, winner.point, held, [kept]))
+
+
+def _rough(
+    cases: Sequence[Case], hypotheses: Sequence[Hypothesis], fine: Point, held: Mapping[str, float]
+) -> tuple[Point, Point]:
+    """A coarse point of the fine one's structure to go on from, and the fine one, better where that found better."""
+    rigid = fine.structure.without("tooth_compliance")
+    again = identify.coarse(cases, rigid, fine.values, held)
+    named = [h.point for h in hypotheses if h.point.structure == rigid]
+    rough = min((again, *named), key=lambda p: p.deviance)
+    if rough is again:
+        retried = explain.fine_fit(cases, rigid, [{**fine.values, **again.values}], held, fine.density)
+        if retried.deviance < fine.deviance:
+            fine = retried
+    return rough, fine
 
 
 def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[tuple[Recording, float]]]:
@@ -217,8 +245,12 @@ def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, fl
             elif n == 0 and holds:
                 ranking[effect] = max(ranking.get(effect, 0.0), sum(holds))
     for effect in found.last.structure.named:
+        without = [compare.criterion(q) for q in found.lesser if effect not in q.structure]
+        if without:
+            beside = float(compare.weights([compare.criterion(found.last), min(without)])[0])
+            named[effect] = max(named.get(effect, 0.0), beside)
         named.setdefault(effect, 0.5)
-        ranking.setdefault(effect, named[effect])
+        ranking[effect] = max(ranking.get(effect, 0.0), named[effect])
     return named, tuple(sorted(ranking.items(), key=lambda pair: -pair[1]))
 
 
