@@ -334,6 +334,20 @@ def plausible(cases: Sequence[Case], point: Point) -> bool:
     return turns >= 2.0 and cycles >= 2.0
 
 
+def promising(cases: Sequence[Case], before: Point, coarse: Sequence[Hypothesis]) -> bool:
+    """Whether any finalist gains anything beside a converged fine model, in a few steps from where that stands."""
+
+    def gain(h: Hypothesis) -> float:
+        structure = identify.with_teeth(h.point.structure)
+        values = {p.name: h.point.values.get(p.name, p.start) for p in structure.parameters} | before.values
+        free = tuple(n for n in identify.free_parameters(structure) if n in before.free or n not in before.values)
+        mine = identify.with_steps(cases, structure)
+        return before.deviance - likelihood.climb(mine, structure, values, before.density, free, rounds=6).deviance
+
+    with ThreadPoolExecutor(2) as pool:
+        return max(pool.map(gain, coarse[:FINALISTS])) > 0.25 * compare.LEAST
+
+
 def fine_round(cases: Sequence[Case], before: Point, coarse: Sequence[Hypothesis], held: Mapping[str, float]) -> Round:
     """Fit the best coarse candidates finely and let the smaller model learn from the best of them."""
 

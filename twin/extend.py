@@ -99,6 +99,8 @@ def search(
         open_ = [c for c in candidates if c not in rough.structure]
         tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)
         hypotheses = explain.coarse_round(cases, rough, open_)
+        if n > 0 and not astray and not explain.promising(cases, fine, hypotheses):
+            break
         tell(f"round {n + 1}: fitting the best {explain.FINALISTS}", 0.15 + 0.2 * n)
         this = explain.fine_round(cases, fine, hypotheses, held)
         rounds.append(this)
