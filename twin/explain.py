@@ -144,6 +144,32 @@ def grids(
 _DIRECT = ("drive_saturation", "motor_lag", "input_delay", "end_stop", "joint_elasticity")
 
 
+#: Candidates that repeat with a full turn: a linear axis has none.
+_TURNING = ("gravity", "position_dependent_friction", "encoder_eccentricity")
+#: Candidates that happen at a moment of their own: not at the same one of several recordings.
+_MOMENTARY = ("load_change", "periodic_disturbance")
+#: Share of a disturbance's wave that follows the motion from which on it does not come from outside.
+_OWN = 0.8
+
+
+def offered(cases: Sequence[Case], candidates: Sequence[str]) -> list[str]:
+    """The candidates that recordings of this kind can show.
+
+    Several recordings of speed begin at angles that nobody knows, so that nothing of position can be fitted to all.
+    """
+    first = cases[0].recording
+    out: set[str] = set()
+    if first.output_unit.startswith("m"):
+        out.update(_TURNING)
+    if len(cases) > 1:
+        out.update(_MOMENTARY)
+    if first.is_speed:
+        out.update(e for e in candidates if EFFECTS[e].slot == "sensor")
+    if first.is_speed and len(cases) > 1:
+        out.update(e for e in candidates if "position" in EFFECTS[e].depends_on)
+    return [e for e in candidates if e not in out]
+
+
 #: Starts of such a candidate that are looked at closely, with derivatives.
 _CLOSELY = 6
 
@@ -284,6 +310,7 @@ def _climb(cases: Sequence[Case], base: Point, entry: Entry) -> Hypothesis:
 
 def coarse_round(cases: Sequence[Case], base: Point, candidates: Sequence[str]) -> list[Hypothesis]:
     """The coarse fits of the candidates that promise most, the best first."""
+    candidates = offered(cases, candidates)
     trials = grids(cases, base.structure, base.values)
     with ThreadPoolExecutor(2) as pool:
         entries = sorted(
@@ -327,11 +354,33 @@ def refit_smaller(cases: Sequence[Case], smaller: Point, larger: Point, held: Ma
 
 
 def plausible(cases: Sequence[Case], point: Point) -> bool:
-    """Whether the fit still is what its name says: a ripple has repeated, a disturbance has had time to."""
+    """Whether the fit still is what its name says: a ripple has repeated, a disturbance comes from outside."""
     places = np.concatenate([c.recording.output[np.isfinite(c.recording.output)] for c in cases])
     turns = point.values.get("ripple_order", math.inf) * float(np.ptp(places)) / (2.0 * math.pi)
-    cycles = point.values.get("disturbance_frequency", math.inf) * max(float(c.drive.time[-1]) for c in cases)
-    return turns >= 2.0 and cycles >= 2.0
+    frequency = point.values.get("disturbance_frequency", math.inf)
+    cycles = frequency * max(float(c.drive.time[-1]) for c in cases)
+    outside = not math.isfinite(frequency) or all(_follows(c, point.values) < _OWN for c in cases)
+    return turns >= 2.0 and cycles >= 2.0 and outside
+
+
+def _follows(case: Case, values: Mapping[str, float]) -> float:
+    """The share of a periodic disturbance's wave that position and direction of motion predict along a recording.
+
+    Where the motion itself is periodic, a disturbance with its period cannot be told from a torque that depends on
+    the state, and that is the likelier of the two.
+    """
+    if case.drive.speed:
+        return 0.0
+    time, y = case.drive.time, case.drive.measured
+    seen = np.isfinite(y)
+    time, y = time[seen], y[seen]
+    wave = np.sin(2.0 * math.pi * values["disturbance_frequency"] * time - values["disturbance_phase"])
+    place = np.searchsorted(np.unique(np.quantile(y, np.linspace(0.0, 1.0, 13)[1:-1])), y)
+    label = 2 * place + (np.gradient(y, time) > 0.0)
+    count = np.maximum(np.bincount(label), 1)
+    mean = np.bincount(label, wave) / count
+    spread = float(np.sum((wave - wave.mean()) ** 2))
+    return 1.0 - float(np.sum((wave - mean[label]) ** 2)) / max(spread, 1e-300)
 
 
 def promising(cases: Sequence[Case], before: Point, coarse: Sequence[Hypothesis]) -> bool:
