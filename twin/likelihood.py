@@ -28,6 +28,10 @@ FloatArray = NDArray[np.float64]
 
 #: Normalised innovations beyond this count linearly, not squared (Huber).
 ROBUST_LIMIT = 4.0
+#: The filter may not forget faster than this, s. A torque noise so dense that it does is no noise: the model is wrong
+#: or the readings are rounded and held, and the likelihood of single steps, which are many, would hide what all the
+#: slow ones together show.
+SHORTEST = 0.03
 _BOUNDS = {p.name: (p.lower, p.upper) for p in EVERYTHING.parameters}
 
 
@@ -210,10 +214,12 @@ def innovations(
 
 def _scale_of(z2: FloatArray) -> float:
     """Scale of squared normalised innovations, by Huber's loss: a few rounds reach its fixed point."""
-    scale = max(float(np.median(z2)) / 0.4549, float(np.mean(z2)) * 1e-3, 1e-30)
-    for _ in range(20):
-        _, weight = _loss(z2 / scale)
-        new = max(float(np.mean(weight * z2)), 1e-30)
+    mean = float(np.mean(z2))
+    scale = max(float(np.median(z2)) / 0.4549, mean * 1e-3, 1e-30)
+    for _ in range(30):
+        far = z2[z2 > ROBUST_LIMIT**2 * scale]
+        excess = float(far.sum()) - ROBUST_LIMIT * math.sqrt(scale) * float(np.sqrt(far).sum())
+        new = max(mean - excess / len(z2), 1e-30)
         if abs(new - scale) < 1e-9 * scale:
             break
         scale = new
@@ -387,13 +393,21 @@ def profile_interval(cases: Sequence[Case], point: Point, name: str, std: float)
 def best_density(
     cases: Sequence[Case], structure: Structure, values: Mapping[str, float], around: float | None = None
 ) -> float:
-    """The noise density that makes the recordings likeliest at fixed parameters."""
-    low, high = (0.0, 14.0) if around is None else (math.log10(around) - 1.5, math.log10(around) + 1.5)
-    found = minimize_scalar(
-        lambda d: evaluate(cases, structure, values, 10.0**d).deviance,
-        bounds=(low, high), method="bounded", options={"xatol": 0.05},
-    )  # fmt: skip
-    return float(10.0**found.x)
+    """The noise density that makes the recordings likeliest at fixed parameters; none that forgets too fast."""
+    top = math.log10(min(density_of(c, SHORTEST) for c in cases))
+
+    def deviance(d: float) -> float:
+        return evaluate(cases, structure, values, 10.0**d).deviance
+
+    if around is None:
+        # Readings that are rounded and held have a second valley, where the last reading is all that is believed.
+        middle, reach = min((top - d for d in range(0, 9)), key=deviance), 1.0
+    else:
+        middle, reach = math.log10(around), 1.5
+    low, high = min(middle, top) - reach, min(middle + reach, top)
+    found = minimize_scalar(deviance, bounds=(low, high), method="bounded", options={"xatol": 0.05})
+    # The search never tries its bounds themselves.
+    return float(10.0 ** (found.x if found.x < high - 0.1 else high))
 
 
 def fit(
