@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import sys
+from concurrent.futures import Future
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -199,7 +200,7 @@ def test_the_summary_counts_visible_and_faint_apart() -> None:
         ("nothing there, false alarms", "50.0 % (1 of 2;"),
         ("outside, visible, recognised as unknown", "50.0 % (1 of 2;"),
         ("outside, visible, that or partly explained", "100.0 % (2 of 2;"),
-        ("single, visible, hold-out improvement, median", "100.0 % (of 4)"),
+        ("single, visible, hold-out improvement, median", "100.0 % (of 4 trials)"),
     ):
         assert line(text, start).startswith(expected), start
     assert outcomes[3].achieved == pytest.approx(0.5)
@@ -231,6 +232,40 @@ def test_the_confusion_matrix_holds_every_trial_and_only_what_occurred() -> None
     }
 
 
+class Witness:
+    """In the pool's place: keeps what the tool is given, and answers as told."""
+
+    def __init__(self, *answers: Answer) -> None:
+        self.given: list[tuple[object, ...]] = []
+        self.answers = list(answers)
+
+    def submit(self, work: object, *given: object) -> Future[Answer]:
+        assert work is blind_trial.ask
+        self.given.append(given)
+        future: Future[Answer] = Future()
+        future.set_result(self.answers.pop(0))
+        return future
+
+
+def test_the_tool_gets_the_recording_alone_and_the_truth_only_after_a_wrong_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _, salt, recording = make(5, 1, ("none",), 4.0)
+    name = "gravity"
+    label = outcome({name: 9.0}, {}).label
+    monkeypatch.setattr(blind_trial, "make", lambda *drawn: (label, salt, recording))
+    right = Answer("explained", ((name, 0.9),), 1.0, 0.1, 1.0)
+    wrong = Answer("nothing_missing", (), 1.0, 0.7, 1.0)
+    for answers, possible in (((right,), 0.1), ((wrong, right), 0.1), ((wrong, wrong), math.nan)):
+        pool = Witness(*answers)
+        opened = blind_trial._trial(pool, 5, 1, ("single",), 4.0)
+        assert opened.answer is answers[0] and opened.possible == pytest.approx(possible, nan_ok=True)
+        (alone,), *after = pool.given
+        assert np.array_equal(alone.output, recording.output) and [names for _, names in after] == [(name,)] * (
+            len(answers) - 1
+        )
+
+
 def test_two_trials(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "trials.jsonl"
     options = ["--trials", "2", "--seed", "3", "--duration", "12", "--processes", "1", "--kinds", "single,none"]
@@ -250,7 +285,7 @@ def test_two_trials(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_tool_that_fails_loses_the_trial_and_not_the_study(monkeypatch: pytest.MonkeyPatch) -> None:
-    def stumble(*given: object) -> None:
+    def stumble(*given: object, **named: object) -> None:
         raise ZeroDivisionError("by zero")
 
     monkeypatch.setattr(blind_trial.extend, "diagnose", stumble)
