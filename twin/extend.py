@@ -97,6 +97,8 @@ def search(
     astray = False
     for n in range(MOST):
         open_ = [c for c in candidates if c not in rough.structure]
+        if not open_:
+            break
         tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)
         hypotheses = explain.coarse_round(cases, rough, open_)
         if n > 0 and not astray and not explain.promising(cases, fine, hypotheses):
@@ -111,7 +113,7 @@ def search(
         winner = this.rivals[0]
         explained = first_point.deviance - winner.deviance
         if explain.plausible(cases, winner.point) and _worth(best, winner.point, explained):
-            fine = _plainer(cases, first_point, this, winner, held)
+            fine = _plainer(cases, best, first_point, this, winner, held)
             rough, fine = _rough(cases, hypotheses, fine, held)
             best, astray = fine, False
         elif not astray and rough.deviance - hypotheses[0].deviance > LOOKAHEAD * sum(c.count for c in cases):
@@ -131,12 +133,18 @@ def search(
     return Search(first_point, best, tuple(rounds), tuple(cases), tuple(lesser))
 
 
-def _plainer(cases: Sequence[Case], first: Point, this: Round, winner: Hypothesis, held: Mapping[str, float]) -> Point:
-    """The winner, or what it brought along alone: a specialised friction must earn its place beside plain friction."""
+def _plainer(
+    cases: Sequence[Case], best: Point, first: Point, this: Round, winner: Hypothesis, held: Mapping[str, float]
+) -> Point:
+    """The winner, or what it brought along alone where that earns a place by itself.
+
+    What a specialised friction adds to plain friction then competes with everything else that may be beside it.
+    """
     kept = this.before.structure.with_(*EFFECTS[winner.added[0]].includes)
     if kept.named == this.before.structure.named:
         return winner.point
-    return _fair(first, winner.point, _fits(cases, winner.point, held, [kept]))
+    plain = _fits(cases, winner.point, held, [kept])[0]
+    return plain if _worth(best, plain, first.deviance - winner.deviance) else winner.point
 
 
 def _rough(
