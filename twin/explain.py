@@ -354,13 +354,18 @@ def refit_smaller(cases: Sequence[Case], smaller: Point, larger: Point, held: Ma
 
 
 def plausible(cases: Sequence[Case], point: Point) -> bool:
-    """Whether the fit still is what its name says: a ripple has repeated, a disturbance comes from outside."""
+    """Whether the fit still is what its name says.
+
+    A ripple has repeated, a disturbance comes from outside, a spring is more than a constant.
+    """
     places = np.concatenate([c.recording.output[np.isfinite(c.recording.output)] for c in cases])
     turns = point.values.get("ripple_order", math.inf) * float(np.ptp(places)) / (2.0 * math.pi)
     frequency = point.values.get("disturbance_frequency", math.inf)
     cycles = frequency * max(float(c.drive.time[-1]) for c in cases)
     outside = not math.isfinite(frequency) or all(_follows(c, point.values) < _OWN for c in cases)
-    return turns >= 2.0 and cycles >= 2.0 and outside
+    middle = 0.5 * float(places.max() + places.min())
+    varies = abs(point.values.get("spring_rest", middle) - middle) <= 2.0 * float(np.ptp(places))
+    return turns >= 2.0 and cycles >= 2.0 and outside and varies
 
 
 def _follows(case: Case, values: Mapping[str, float]) -> float:

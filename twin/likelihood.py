@@ -28,10 +28,10 @@ FloatArray = NDArray[np.float64]
 
 #: Normalised innovations beyond this count linearly, not squared (Huber).
 ROBUST_LIMIT = 4.0
-#: The filter may not forget faster than this, s. A torque noise so dense that it does is no noise: the model is wrong
-#: or the readings are rounded and held, and the likelihood of single steps, which are many, would hide what all the
-#: slow ones together show.
-SHORTEST = 0.03
+#: The filter weighs at least so many readings. A torque noise so dense that it forgets faster is no noise: neighbouring
+#: readings share their rounding and the jitter of their stamps, and being many they would decide what the slow part of
+#: the misfit, in which the physics shows, has to say.
+LEAST_READINGS = 5.0
 _BOUNDS = {p.name: (p.lower, p.upper) for p in EVERYTHING.parameters}
 
 
@@ -159,9 +159,14 @@ def _start(case: Case, p: FloatArray, free: Sequence[str]) -> tuple[FloatArray, 
     return x, slope
 
 
+def step_of(case: Case) -> float:
+    """The usual time from reading to reading, s."""
+    return float(np.median(np.diff(case.drive.time)))
+
+
 def density_of(case: Case, memory: float) -> float:
     """The noise density, in units of the reading's variance, at which the filter forgets after `memory` seconds."""
-    step = float(np.median(np.diff(case.drive.time)))
+    step = step_of(case)
     return step / memory**2 if case.drive.speed else step / memory**4
 
 
@@ -394,7 +399,7 @@ def best_density(
     cases: Sequence[Case], structure: Structure, values: Mapping[str, float], around: float | None = None
 ) -> float:
     """The noise density that makes the recordings likeliest at fixed parameters; none that forgets too fast."""
-    top = math.log10(min(density_of(c, SHORTEST) for c in cases))
+    top = math.log10(min(density_of(c, LEAST_READINGS * step_of(c)) for c in cases))
 
     def deviance(d: float) -> float:
         return evaluate(cases, structure, values, 10.0**d).deviance
