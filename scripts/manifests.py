@@ -26,8 +26,18 @@ def jga25(folder: Path) -> list[Row]:
     return [{"file": path, "role": "holdout" if k % 2 else "train"} for k, path in enumerate(paths)]
 
 
+def _switched_off(path: Path) -> str:
+    """The moment from which on the drive is off and the log says nothing of what acts on the motor, or nothing."""
+    with path.open(encoding="utf-8") as stream:
+        return next((row["t_s"] for row in csv.DictReader(stream) if float(row["torque_enable"]) == 0.0), "")
+
+
 def sts3215(folder: Path, brutal: bool) -> list[Row]:
-    """Other repetitions, masses and gains are held out than train; `brutal` runs are a set of their own."""
+    """Other repetitions, masses and gains are held out than train; `brutal` runs are a set of their own.
+
+    A run ends where the drive is switched off: with open terminals the motor no longer brakes itself, which no duty
+    describes.
+    """
     splits = {
         ("1", "0.535", "1.168"): ("train", {4, 8, 16, 32}),
         ("2", "0.741", "0.969"): ("holdout", {12, 24}),
@@ -43,6 +53,7 @@ def sts3215(folder: Path, brutal: bool) -> list[Row]:
                         {
                             "file": folder / "runs" / run["file"],
                             "role": role,
+                            "end": _switched_off(folder / "runs" / run["file"]),
                             "payload_mass": run["mass_kg"],
                             "arm_length": run["length_m"],
                             "arm_mass": run["arm_mass_kg"],
