@@ -149,7 +149,7 @@ def _along_ridge(cases: Sequence[Case], point: Point) -> Point:
     there are valleys a tenth of a percent of the input apart, and a gradient stays in the first.
     """
     d, o = ([point.free.index(n) for n in names] for names in (_RIDGE, _FOLLOW))
-    follow = -np.linalg.solve(point.normal[np.ix_(o, o)], point.normal[np.ix_(o, d)]).sum(axis=1)
+    follow = -likelihood.solved(point.normal[np.ix_(o, o)], point.normal[np.ix_(o, d)]).sum(axis=1)
     reach = 0.01 * max(float(np.max(np.abs(c.recording.input))) for c in cases)
     trials = []
     for x in np.linspace(-reach, reach, 41):

@@ -294,6 +294,11 @@ def robust_covariance(cases: Sequence[Case], point: Point, stretch: float = 0.5)
     return np.asarray(plain * np.outer(wider, wider))
 
 
+def solved(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The smallest solution of a x = b, which is there also where a parameter leaves no trace and a is singular."""
+    return np.asarray(np.linalg.lstsq(a, b, rcond=1e-14)[0])
+
+
 def _moved(point: Point, damping: float) -> dict[str, float]:
     """The values after one damped Gauss-Newton step that respects the bounds."""
     active = np.ones(len(point.free), dtype=bool)
@@ -310,7 +315,7 @@ def _moved(point: Point, damping: float) -> dict[str, float]:
         a = a / np.outer(size, size)
         a[np.diag_indices_from(a)] += damping + 1e-12
         step = np.zeros(len(here))
-        step[index] = np.linalg.solve(a, point.gradient[index] / size) / size
+        step[index] = solved(a, point.gradient[index] / size) / size
         stuck = [
             i
             for i in index
