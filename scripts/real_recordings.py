@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import manifests
 import numpy as np
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from twin import extend, pipeline, recording
 from twin.finding import Diagnosis, Trace
+from twin.likelihood import Point
 from twin.model import Model
 
 FloatArray = NDArray[np.float64]
@@ -61,7 +63,7 @@ def _radians(found: Diagnosis, errors: Errors) -> Figures:
     }
 
 
-def _emps_numbers(model: Model) -> Figures:
+def _emps_numbers(model: Model | Point) -> Figures:
     """Mass and forces from accelerations, by the published drive gain of 35.1507 N/V."""
     mass = 35.1507 / model.values["input_gain"]
     forces = {"Fv, N s/m": "viscous_friction", "Fc, N": "coulomb_friction", "offset, N": "offset"}
@@ -76,7 +78,7 @@ def _gap(model: Model) -> Figures:
     }
 
 
-def _nothing(model: Model) -> Figures:
+def _nothing(model: Model | Point) -> Figures:
     return {}
 
 
@@ -92,7 +94,7 @@ class Set:
     readme: str
     quick: Callable[[Sequence[manifests.Row]], list[manifests.Row]]
     more: tuple[str, ...] = ()
-    numbers: Callable[[Model], Figures] = _nothing
+    numbers: Callable[[Any], Figures] = _nothing
 
 
 def _every(step: int) -> Callable[[Sequence[manifests.Row]], list[manifests.Row]]:
@@ -119,14 +121,14 @@ SETS: Mapping[str, Set] = {
         "jga25", ("backlash",), _jga25,
         "saturation, asymmetry, delay or lag",
         "92.7 (131.5) rpm linear, 42.4 (33.4) + dead-band, 40.9 (32.7) + asymmetry, 38.4 (30.7) + saturation",
-        _every(6),
+        _every(12),
     ),
     "sts3215": Set(
         lambda data: manifests.sts3215(data / "sts3215_pendulum", brutal=False),
         "sts3215", ("backlash",), _radians,
-        "load-dependent friction",
+        "load-dependent friction; runs end where the drive is switched off",
         "MAE 82.3 mrad linear, 61.9 + Coulomb, 42.6 + load-dependent, 35.9 + Stribeck; RMSE 145, 119, 58.5, 51.7",
-        _every(8),
+        _every(7),
     ),
     "brutal": Set(
         lambda data: manifests.sts3215(data / "sts3215_pendulum", brutal=True),
@@ -150,15 +152,21 @@ def _shown(figures: Figures) -> str:
     return ", ".join(f"{name} {value:.4g}" for name, value in figures.items())
 
 
-def report(name: str, data: Path, quick: bool) -> str:
-    """Diagnose one set and say what came of it."""
+def recordings_of(name: str, data: Path, quick: bool) -> tuple[list[recording.Recording], recording.Rig]:
+    """The recordings of one set, or a small part of them, and their rig."""
     chosen = SETS[name]
-    began = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         manifest = Path(folder) / f"{name}.csv"
         rows = chosen.rows(data)
         manifests.write(manifest, chosen.quick(rows) if quick else rows)
-        recordings, rig = recording.load([manifest], RIGS / f"{chosen.rig}.toml")
+        return recording.load([manifest], RIGS / f"{chosen.rig}.toml")
+
+
+def report(name: str, data: Path, quick: bool) -> str:
+    """Diagnose one set and say what came of it."""
+    chosen = SETS[name]
+    began = time.perf_counter()
+    recordings, rig = recordings_of(name, data, quick)
     first = pipeline.first_structure(rig, chosen.more, chosen.fewer)
     found = extend.diagnose(recordings, first)
     lines = [

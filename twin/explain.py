@@ -146,6 +146,8 @@ _DIRECT = ("drive_saturation", "motor_lag", "input_delay", "end_stop", "joint_el
 
 #: Candidates that repeat with a full turn: a linear axis has none.
 _TURNING = ("gravity", "position_dependent_friction", "encoder_eccentricity")
+#: Of these, the ones that only a full turn tells from other physics; gravity is known by its angle of rest.
+_WHOLE_TURN = ("position_dependent_friction", "encoder_eccentricity")
 #: Candidates that happen at a moment of their own: not at the same one of several recordings.
 _MOMENTARY = ("load_change", "periodic_disturbance")
 #: Share of a disturbance's wave that follows the motion from which on it does not come from outside.
@@ -158,9 +160,12 @@ def offered(cases: Sequence[Case], candidates: Sequence[str]) -> list[str]:
     Several recordings of speed begin at angles that nobody knows, so that nothing of position can be fitted to all.
     """
     first = cases[0].recording
+    readings = [c.drive.measured for c in cases]
     out: set[str] = set()
     if first.output_unit.startswith("m"):
         out.update(_TURNING)
+    if not first.is_speed and max(float(np.nanmax(y) - np.nanmin(y)) for y in readings) < 1.8 * math.pi:
+        out.update(_WHOLE_TURN)
     if len(cases) > 1:
         out.update(_MOMENTARY)
     if first.is_speed:
@@ -200,8 +205,8 @@ def _score(base: Point, point: Point, news: Sequence[str]) -> tuple[FloatArray, 
     g = point.gradient / size
     index = [*old, *new]
     block = a[np.ix_(index, index)] + 1e-9 * np.eye(len(index))
-    step = np.linalg.solve(block, g[index])
-    without = np.linalg.solve(block[: len(old), : len(old)], g[old])
+    step = likelihood.solved(block, g[index])
+    without = likelihood.solved(block[: len(old), : len(old)], g[old])
     promise = float(g[index] @ step - g[old] @ without)
     return step[len(old) :] / size[new], max(promise, 0.0)
 
@@ -259,7 +264,7 @@ def _promised(point: Point) -> float:
     size = np.sqrt(np.maximum(np.diag(point.normal), 1e-300))
     a = point.normal / np.outer(size, size) + 1e-6 * np.eye(len(size))
     g = point.gradient / size
-    return float(g @ np.linalg.solve(a, g))
+    return float(g @ likelihood.solved(a, g))
 
 
 def _direct_starts(

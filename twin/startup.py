@@ -56,6 +56,37 @@ def start_values(cases: Sequence[Case], structure: Structure) -> dict[str, float
     if "dead_band_forward" in values:
         lost = float(np.clip(solution[2] / gain, 0.002 * span, 0.3 * span))
         values["dead_band_forward"] = values["dead_band_reverse"] = lost
+    if "own_inertia" in values:
+        values |= _with_payload(cases, parts)
     if "backlash_gap" in values:
         values["backlash_gap"] = min(0.01, 0.01 * float(np.max(np.abs(speed))))
     return values
+
+
+def _with_payload(
+    cases: Sequence[Case], parts: Sequence[tuple[FloatArray, FloatArray, FloatArray]]
+) -> dict[str, float]:
+    """Input gain, viscous friction and own inertia where payloads are known.
+
+    The command is explained by the motion, not the other way round: what the payloads weigh and how they accelerate
+    sets the scale, and the noise of the acceleration stays on the side where it does least.
+    """
+    rows, commands = [], []
+    for case, (command, speed, acceleration) in zip(cases, parts, strict=True):
+        inertia, moment = case.drive.known
+        ok = np.isfinite(case.drive.measured)
+        time = case.drive.time[ok]
+        place = np.interp(np.linspace(time[0], time[-1], len(speed)), time, case.drive.measured[ok])
+        load = inertia * acceleration + 9.80665 * moment * np.sin(place)
+        rows.append(np.column_stack([acceleration, speed, np.sign(speed), load]))
+        commands.append(command)
+    columns, wanted = np.concatenate(rows), np.concatenate(commands)
+    moving = np.abs(columns[:, 1]) > 0.02 * np.max(np.abs(columns[:, 1]))
+    per_gain, damping, _, per_torque = np.linalg.lstsq(columns[moving], wanted[moving], rcond=None)[0]
+    if min(per_gain, damping, per_torque) <= 0.0:
+        return {}
+    return {
+        "input_gain": float(1.0 / per_gain),
+        "viscous_friction": float(damping / per_gain),
+        "own_inertia": float(per_gain / per_torque),
+    }

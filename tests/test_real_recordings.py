@@ -1,0 +1,117 @@
+"""What the tool says about parts of the real data sets, and the arithmetic of the table's metrics."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+
+import manifests
+import real_recordings
+
+from twin import explain, extend, likelihood, pipeline, recording
+from twin.axis import Structure
+from twin.effects.catalogue import CANDIDATES
+from twin.extend import Search
+from twin.recording import Recording
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+real = pytest.mark.skipif(not DATA.is_dir(), reason=f"the real data sets are not at {DATA}")
+
+
+def made(unit: str, count: int, duration: float = 10.0, swing: float = 0.3) -> list[likelihood.Case]:
+    """Cases of a slow oscillation at 0.5 Hz."""
+    time = np.arange(0.0, duration, 0.01)
+    output = swing * np.sin(np.pi * time)
+    one = Recording("made", time, np.cos(np.pi * time), output, "V", unit, resolution=1e-4)
+    structure = Structure.of(["inertia", "viscous_friction"])
+    return [likelihood.prepare(replace(one, name=f"made {k}"), structure) for k in range(count)]
+
+
+def test_only_what_such_recordings_can_show_is_offered() -> None:
+    assert set(explain.offered(made("rad", 1, swing=5.0), CANDIDATES)) == set(CANDIDATES)
+    linear = explain.offered(made("m", 1), CANDIDATES)
+    assert "constant_offset" in linear and not {"gravity", "encoder_eccentricity"} & set(linear)
+    several = explain.offered(made("rad", 2, swing=5.0), CANDIDATES)
+    assert "gravity" in several and not {"load_change", "periodic_disturbance"} & set(several)
+    short = explain.offered(made("rad", 1, swing=0.3), CANDIDATES)
+    assert "gravity" in short and "encoder_eccentricity" not in short
+    speeds = explain.offered(made("rad/s", 2), CANDIDATES)
+    assert "drive_saturation" in speeds and not {"gravity", "spring", "torque_ripple"} & set(speeds)
+
+
+@pytest.mark.parametrize(("frequency", "outside"), [(0.5, False), (1.0, False), (0.37, True), (2.3, True)])
+def test_a_disturbance_in_the_rhythm_of_the_motion_is_not_one_from_outside(frequency: float, outside: bool) -> None:
+    cases = made("rad", 1, duration=40.0)
+    structure = Structure.of(["inertia", "viscous_friction", "periodic_disturbance"])
+    values = {p.name: p.start for p in structure.parameters}
+    values |= {"disturbance_frequency": frequency, "disturbance_phase": 0.3, "disturbance": 1.0}
+    point = likelihood.evaluate(cases, structure, values, 1.0)
+    assert explain.plausible(cases, point) == outside
+
+
+def test_held_and_rounded_readings_do_not_run_away_with_the_noise_density() -> None:
+    rng = np.random.default_rng(0)
+    time = np.arange(0.0, 4.0, 0.001)
+    speed = 100.0 * (1.0 - np.exp(-5.0 * time)) + rng.normal(0.0, 0.5, len(time))
+    seen = np.repeat(np.round(speed[::10] / 4.0) * 4.0, 10)
+    one = Recording("held", time, np.full(len(time), 10.0), seen, "%", "rad/s", resolution=4.0)
+    structure = Structure.of(["inertia", "viscous_friction"])
+    case = likelihood.prepare(one, structure)
+    found = likelihood.best_density([case], structure, {"input_gain": 50.0, "viscous_friction": 5.0})
+    assert found <= likelihood.density_of(case, 4.9 * likelihood.step_of(case))
+
+
+def quick(name: str, candidates: Sequence[str] = CANDIDATES) -> Search:
+    """The search on the quick part of a set, from its plain model."""
+    chosen = real_recordings.SETS[name]
+    recordings, rig = real_recordings.recordings_of(name, DATA, quick=True)
+    train = [r for r in recordings if r.role == "train"]
+    return extend.search(train, pipeline.first_structure(rig, chosen.more, chosen.fewer), {}, candidates)
+
+
+@real
+def test_the_linear_axis_lacks_friction_and_a_constant_pull() -> None:
+    found = quick("emps").last
+    assert "coulomb_friction" in found.structure
+    # Which of the two it is shows at rest only.
+    assert {"constant_offset", "friction_asymmetry"} & set(found.structure.named)
+    numbers = real_recordings.SETS["emps"].numbers(found)  # as published, from a third of the record
+    assert numbers["M, kg"] == pytest.approx(95.1, rel=0.03)
+    assert numbers["Fv, N s/m"] == pytest.approx(203.5, rel=0.06)
+    assert numbers["Fc, N"] == pytest.approx(20.4, rel=0.06)
+
+
+@real
+def test_the_gear_motor_saturates() -> None:
+    found = quick("jga25").last
+    assert "drive_saturation" in found.structure
+    assert 85.0 < found.values["saturation_limit"] < 96.0  # published: 90..100 %
+    assert 9.0 < found.values["dead_band_forward"] < 19.0
+
+
+@real
+def test_the_servo_loses_more_the_more_its_gears_carry() -> None:
+    # A short list, for the sake of time; the whole of it is for the script.
+    found = quick("sts3215", ("coulomb_friction", "load_dependent_friction", "constant_offset", "input_delay")).last
+    assert "load_dependent_friction" in found.structure
+    assert 0.3 < found.values["load_friction"] < 0.8
+
+
+@real
+def test_runs_end_where_the_drive_is_switched_off(tmp_path: Path) -> None:
+    rows = manifests.sts3215(DATA / "sts3215_pendulum", brutal=False)
+    manifests.write(tmp_path / "set.csv", rows)
+    with (tmp_path / "set.csv").open(encoding="utf-8") as stream:
+        ends = {r["trajectory"]: r["end"] for r in csv.DictReader(stream)}
+    assert float(ends["lift_and_drop"]) == pytest.approx(2.0, abs=0.05)
+    assert ends["sin_sin"] == ""
+    loaded, _ = recording.load([tmp_path / "set.csv"], ROOT / "models" / "rigs" / "sts3215.toml")
+    assert min(r.time[-1] for r in loaded) < 2.05 and max(r.time[-1] for r in loaded) > 5.9
