@@ -328,7 +328,7 @@ def _next(found: Search) -> Experiment:
         if close:
             return experiment.separate([found.last, *close[:1]], cases)
         return experiment.sharpen(found.last, cases)
-    except BadInput as error:
+    except (BadInput, np.linalg.LinAlgError) as error:
         return Experiment(why=f"no experiment was designed: {error}")
 
 
