@@ -32,6 +32,7 @@ ROBUST_LIMIT = 4.0
 #: readings share their rounding and the jitter of their stamps, and being many they would decide what the slow part of
 #: the misfit, in which the physics shows, has to say.
 LEAST_READINGS = 5.0
+_BEHIND = 1e-7  # s
 _BOUNDS = {p.name: (p.lower, p.upper) for p in EVERYTHING.parameters}
 
 
@@ -207,6 +208,8 @@ def innovations(
 ) -> Innovations:
     """Run one case through the predictor; slopes only where parameters are free."""
     p = kernel.vector(structure, dict(values))
+    # Where an edge of the command falls on a stamp the delay has a kink: it is looked at from just behind.
+    p[INDEX["delay"]] += _BEHIND
     gains, spread = gains_for(case, values.get("viscous_friction", 0.0), density)
     x, slope = _start(case, p, free)
     if free:

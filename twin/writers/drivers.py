@@ -87,10 +87,10 @@ def predict_t(
     pd = numbers(pd)
     edge = 0
     delay = 0.0
+    rounding = 1e-6 * longest
     d_delay = zero()
     if has.input_delay:
-        # An edge on a stamp has no derivative there: it is looked at from just behind.
-        delay = p.delay + 1e-7
+        delay = p.delay
         d_delay = row(pd, index.delay)
     for i in range(count):
         offset, d_offset = sensor_t(x.position, row(xd, 0), x, xd, p, pd, k)
@@ -121,18 +121,18 @@ def predict_t(
         end = time[i + 1]
         d_now = zero()
         while now < end:
-            while edge < i and time[edge + 1] + delay <= now:
+            while edge < i and time[edge + 1] + delay <= now + rounding:
                 edge += 1
             until = end
             d_until = zero()
-            if edge < i and time[edge + 1] + delay < end:
+            if edge < i and time[edge + 1] + delay < end - rounding:
                 until = time[edge + 1] + delay
                 d_until = d_delay
             acting = command[edge]
             d_acting = zero()
             if closed:
                 d_acting = row(commands, edge)
-            if time[edge] + delay > now:
+            if time[edge] + delay > now + rounding:
                 acting = 0.0
                 d_acting = zero()
                 if time[edge] + delay < until:
