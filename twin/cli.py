@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import tempfile
 import threading
 import traceback
 import warnings
@@ -213,8 +214,13 @@ def _identify(args: argparse.Namespace) -> int:
 
 
 def _export(args: argparse.Namespace) -> int:
-    _check_outputs(args, args.out)
-    from twin import model, native, package
+    _check_outputs(args, args.out, args.ssv, args.ssp, args.modelica)
+    from twin import controller, controller_fmu, model, native, package, ssp
+    from twin.files import put
+    from twin.writers import modelica
+
+    if args.controller is not None and args.ssp is None:
+        raise BadInput("--controller goes into a system: add --ssp FILE")
 
     found = model.read(args.model)
     if args.target == "native":
@@ -225,9 +231,25 @@ def _export(args: argparse.Namespace) -> int:
         raise BadInput("--target python writes FMI 2 only, through pythonfmu: add --target native for FMI 3")
     else:
         package.export(found, args.out, args.force)
+    said = [f"{args.out}: FMI {args.fmi} co-simulation ({args.target}) of {found.structure}."]
+    if args.ssv is not None:
+        ssp.write_ssv(found, args.ssv, args.force)
+        said.append(f"{args.ssv}: the parameters as an SSP set.")
+    if args.ssp is not None:
+        if args.controller is None:
+            ssp.write_ssp(args.ssp, args.out, None, found, args.force)
+        else:
+            with tempfile.TemporaryDirectory() as folder:
+                designed = controller.read(args.controller)
+                packed = controller_fmu.export_controller(designed, Path(folder) / "controller.fmu")
+                ssp.write_ssp(args.ssp, args.out, packed, found, args.force)
+        said.append(f"{args.ssp}: the system with its parameters.")
+    if args.modelica is not None:
+        put(args.modelica, modelica.write(found))
+        said.append(f"{args.modelica}: the same equations in Modelica.")
     _answer(
         args,
-        [f"{args.out}: FMI {args.fmi} co-simulation ({args.target}) of {found.structure}."],
+        said,
         {"format": "twin-export/1", "fmu": str(args.out), "target": args.target, "fmi": args.fmi},
     )
     return 0
@@ -474,6 +496,12 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
         help="python: through pythonfmu (default); native: compiled, needs no Python in the host",
     )  # fmt: skip
     export.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="FMI version; 3 with --target native only")
+    export.add_argument("--ssv", type=Path, metavar="FILE", help="also write the parameters as an SSP parameter set")
+    export.add_argument("--ssp", type=Path, metavar="FILE", help="also pack FMU and parameters as an SSP system")
+    export.add_argument(
+        "--controller", type=Path, metavar="CONTROLLER.toml", help="goes into the --ssp system, as an FMU"
+    )
+    export.add_argument("--modelica", type=Path, metavar="FILE", help="also write the model as a Modelica package")
 
     update = add("update", _update, "write parameters into an existing FMU, in place or as --out")
     update.add_argument("fmu", type=Path, metavar="ARM.fmu")

@@ -5,8 +5,10 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from functools import cache
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import fmpy.fmi2
@@ -17,6 +19,14 @@ from twin.archive import Fmu
 from twin.errors import BadInput
 
 Outputs = ctypes.Array[ctypes.c_double]
+
+
+@cache
+def _silence() -> Any:
+    """Callbacks whose logger says nothing; kept for as long as the process lives."""
+    callbacks = fmpy.fmi2.fmi2CallbackFunctions()
+    callbacks.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(lambda *a: None)
+    return callbacks
 
 
 class Running:
@@ -112,6 +122,9 @@ class Running:
         with suppress(Exception):
             self._slave.terminate()
         self._slave.freeInstance()
+        if self._two:
+            # FMPy keeps one logger for the whole process. Ours goes with this object; the next FMU must not call it.
+            fmpy.logging.addLoggerProxy(ctypes.byref(_silence()))
 
 
 @contextmanager
