@@ -22,11 +22,19 @@ Outputs = ctypes.Array[ctypes.c_double]
 
 
 @cache
-def _silence() -> Any:
-    """Callbacks whose logger says nothing; kept for as long as the process lives."""
+def _silent() -> Any:
+    """A logger that says nothing, kept for as long as the process lives."""
+    return fmpy.fmi2.fmi2CallbackLoggerTYPE(lambda *a: None)
+
+
+def _let_go_of_the_logger() -> None:
+    """FMPy keeps the last logger for the whole process: the next FMU must not call one that has gone.
+
+    The callbacks are new each time, because FMPy puts its own proxy in the place of their logger.
+    """
     callbacks = fmpy.fmi2.fmi2CallbackFunctions()
-    callbacks.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(lambda *a: None)
-    return callbacks
+    callbacks.logger = _silent()
+    fmpy.logging.addLoggerProxy(ctypes.byref(callbacks))
 
 
 class Running:
@@ -123,8 +131,7 @@ class Running:
             self._slave.terminate()
         self._slave.freeInstance()
         if self._two:
-            # FMPy keeps one logger for the whole process. Ours goes with this object; the next FMU must not call it.
-            fmpy.logging.addLoggerProxy(ctypes.byref(_silence()))
+            _let_go_of_the_logger()
 
 
 @contextmanager
