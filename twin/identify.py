@@ -13,6 +13,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -48,12 +49,9 @@ def _scan(
     grid: Mapping[str, Iterable[float]], keep: int,
 ) -> list[dict[str, float]]:  # fmt: skip
     """The best few points of a grid, by deviance."""
-    tried = []
-    for combination in itertools.product(*grid.values()):
-        trial = {**values, **dict(zip(grid, combination, strict=True))}
-        tried.append((likelihood.evaluate(cases, structure, trial, density).deviance, trial))
-    tried.sort(key=lambda pair: pair[0])
-    return [trial for _, trial in tried[:keep]]
+    trials = [{**values, **dict(zip(grid, point, strict=True))} for point in itertools.product(*grid.values())]
+    found = likelihood.deviances(cases, structure, trials, density)
+    return [trials[i] for i in np.argsort(found, kind="stable")[:keep]]
 
 
 def coarse(
@@ -156,7 +154,8 @@ def _along_ridge(cases: Sequence[Case], point: Point) -> Point:
         moved = {n: max(point.values[n] + x, 0.0) for n in _RIDGE}
         moved |= {n: max(point.values[n] + f * x, 1e-9) for n, f in zip(_FOLLOW, follow, strict=True)}
         trials.append({**point.values, **moved})
-    best = min(trials, key=lambda v: likelihood.evaluate(cases, point.structure, v, point.density).deviance)
+    found = likelihood.deviances(cases, point.structure, trials, point.density)
+    best = trials[int(np.argmin(found))]
     return likelihood.climb(cases, point.structure, best, point.density, point.free, rounds=15)
 
 
@@ -279,5 +278,7 @@ def identify(
     cases, point = polish(cases, point)
     model = to_model(cases, point, train, held)
     tell("profiles of the likelihood", 0.85)
-    intervals = {n: likelihood.profile_interval(cases, point, n, model.std(n)) for n in PROFILED if n in point.free}
-    return replace(model, intervals=intervals)
+    names = [n for n in PROFILED if n in point.free]
+    with ThreadPoolExecutor(2) as pool:
+        found = pool.map(lambda n: likelihood.profile_interval(cases, point, n, model.std(n)), names)
+        return replace(model, intervals=dict(zip(names, found, strict=True)))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -295,6 +296,14 @@ def robust_covariance(cases: Sequence[Case], point: Point, stretch: float = 0.5)
     robust = plain @ (scatter.T @ scatter) @ plain
     wider = np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(plain), 1e-300), 1.0))
     return np.asarray(plain * np.outer(wider, wider))
+
+
+def deviances(
+    cases: Sequence[Case], structure: Structure, trials: Sequence[Mapping[str, float]], density: float
+) -> list[float]:
+    """The deviance at each of many values, on two threads: the kernel runs without Python's lock."""
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(lambda v: evaluate(cases, structure, v, density).deviance, trials))
 
 
 def solved(a: FloatArray, b: FloatArray) -> FloatArray:
