@@ -159,7 +159,7 @@ def _structure(where: str, table: Mapping[str, Any], key: str) -> Structure:
     if not isinstance(ids, list) or not ids:
         raise BadInput(f'{where}: [structure] has no list `{key}`: add one, such as ["inertia"]')
     for i in ids:
-        if i not in EFFECTS:
+        if not isinstance(i, str) or i not in EFFECTS:
             raise BadInput(f"{where}: unknown effect {i!r} in [structure]; known are {', '.join(EFFECTS)}")
     return Structure.of(ids)
 
@@ -216,7 +216,7 @@ def loads(text: str, where: str = "controller") -> Controller:
     axis_unit, input_unit = axis.get("unit", "rad"), axis.get("input_unit", "%")
     if axis_unit not in ("rad", "m"):
         raise BadInput(f'{where}: [axis] unit is {axis_unit!r}: use "rad" or "m"')
-    if input_unit not in INPUT_NAMES:
+    if input_unit not in tuple(INPUT_NAMES):
         raise BadInput(f"{where}: [axis] input_unit is {input_unit!r}: use one of {', '.join(INPUT_NAMES)}")
     structure = _structure(where, structures, "controller")
     if "constant_offset" not in structure:

@@ -32,13 +32,14 @@ def check_place(folder: Path) -> None:
         raise BadInput(f"{folder} may not be written to: choose another place with --out")
 
 
-def put(out: Path, text: str) -> None:
-    """The file appears whole or not at all. Raises BadInput."""
+def put(out: Path, content: str | bytes) -> None:
+    """The file appears whole or not at all; text is UTF-8. Raises BadInput."""
+    data = content.encode() if isinstance(content, str) else content
     try:
         handle, name = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name[:50]}-")
         try:
-            with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
-                stream.write(text)
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(data)
             umask = os.umask(0)
             os.umask(umask)
             Path(name).chmod(0o666 & ~umask)
@@ -47,7 +48,7 @@ def put(out: Path, text: str) -> None:
             Path(name).unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise BadInput(f"{out} cannot be written ({error.strerror}): choose another place") from None
+        raise BadInput(f"{out} cannot be written ({error.strerror}): choose another place with --out") from None
 
 
 def plain(value: Any) -> Any:

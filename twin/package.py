@@ -7,9 +7,7 @@ import importlib.metadata
 import io
 import json
 import math
-import os
 import re
-import tempfile
 import uuid
 import xml.etree.ElementTree as ET
 import zipfile
@@ -26,7 +24,7 @@ from twin import description
 from twin.archive import Fmu, open_fmu
 from twin.axis import KNOWN
 from twin.errors import BadInput
-from twin.files import check_free
+from twin.files import check_free, put
 from twin.model import Model, dumps, loads
 from twin.recording import Recording
 from twin.running import running
@@ -38,24 +36,6 @@ FloatArray = NDArray[np.float64]
 _MODEL = "resources/model.toml"
 _VALUES = "resources/parameters.txt"
 _DESCRIPTION = "modelDescription.xml"
-
-
-def _write_whole(out: Path, content: bytes) -> None:
-    """The file appears whole or not at all. Raises BadInput."""
-    try:
-        handle, name = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name[:50]}-")
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(content)
-            umask = os.umask(0)
-            os.umask(umask)
-            Path(name).chmod(0o666 & ~umask)
-            Path(name).replace(out)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise BadInput(f"{out} cannot be written ({error.strerror}): choose another place with --out") from None
 
 
 def interface(model: Model) -> dict[str, Any]:
@@ -104,7 +84,7 @@ def export(model: Model, out: Path, force: bool = False) -> Path:
         "model.toml": dumps(model),
     }
     packed = pack.pack(slave_text(model), identity(model).identifier, resources, described(model))
-    _write_whole(out, packed)
+    put(out, packed)
     return out
 
 
@@ -171,7 +151,7 @@ def update(fmu: Path, model: Model, out: Path | None = None) -> Path:
         for info in old.infolist():
             content = fresh.get(info.filename)
             new.writestr(info, old.read(info) if content is None else content)
-    _write_whole(out or fmu, target.getvalue())
+    put(out or fmu, target.getvalue())
     return out or fmu
 
 
