@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from twin.axis import KNOWN, Structure
 from twin.effects.catalogue import EFFECTS
 from twin.errors import BadInput
 from twin.quantities import Parameter
+from twin.tomlfile import finite, load, number, parse, quoted, section, texts
 
 FORMAT = "twin-model/1"
 INPUT_NAMES = {"%": "duty", "V": "voltage", "A": "current", "N*m": "torque", "N": "force"}
@@ -77,92 +77,78 @@ class Model:
         return f"{self.structure} with {numbers}"
 
 
-def _number(value: float) -> str:
-    return repr(float(value))
-
-
-def _text(value: str) -> str:
-    escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("\t", "\\t")
-    return '"' + "".join(c if c >= " " else f"\\u{ord(c):04x}" for c in escaped) + '"'
-
-
 def dumps(model: Model) -> str:
     """The model as TOML text; the same model gives the same text."""
     lines = [
-        f"format = {_text(FORMAT)}",
+        f"format = {quoted(FORMAT)}",
         "",
         "[axis]",
-        f"unit = {_text(model.axis_unit)}",
-        f"input_unit = {_text(model.input_unit)}",
-        f"sample_time = {_number(model.sample_time)}",
-        f"resolution = {_number(model.resolution)}",
+        f"unit = {quoted(model.axis_unit)}",
+        f"input_unit = {quoted(model.input_unit)}",
+        f"sample_time = {number(model.sample_time)}",
+        f"resolution = {number(model.resolution)}",
         f"reads_speed = {str(model.reads_speed).lower()}",
         "",
         "[structure]",
-        f"effects = [{', '.join(_text(i) for i in model.structure.ids)}]",
+        f"effects = {texts(model.structure.ids)}",
     ]
     for p in model.structure.parameters:
-        lines += ["", f"[parameters.{p.name}]", f"value = {_number(model.values[p.name])}"]
+        lines += ["", f"[parameters.{p.name}]", f"value = {number(model.values[p.name])}"]
         if p.name in model.fitted:
-            lines.append(f"std = {_number(model.std(p.name))}")
+            lines.append(f"std = {number(model.std(p.name))}")
         if p.name in model.intervals:
             low, high = model.intervals[p.name]
-            lines.append(f"interval = [{_number(low)}, {_number(high)}]")
-        lines.append(f"unit = {_text(model.unit(p.name))}")
-        lines.append(f"meaning = {_text(p.meaning)}")
+            lines.append(f"interval = [{number(low)}, {number(high)}]")
+        lines.append(f"unit = {quoted(model.unit(p.name))}")
+        lines.append(f"meaning = {quoted(p.meaning)}")
         if p.name in model.notes:
-            lines.append(f"note = {_text(model.notes[p.name])}")
-    lines += ["", "[noise]", f"reading_std = {_number(model.reading_std)}"]
-    lines.append(f"torque_density = {_number(model.torque_density)}")
+            lines.append(f"note = {quoted(model.notes[p.name])}")
+    lines += ["", "[noise]", f"reading_std = {number(model.reading_std)}"]
+    lines.append(f"torque_density = {number(model.torque_density)}")
     if model.known:
-        lines += ["", "[known]", *(f"{_text(k)} = {_number(v)}" for k, v in model.known.items())]
-    lines += ["", "[covariance]", f"parameters = [{', '.join(_text(n) for n in model.fitted)}]", "matrix = ["]
-    lines += [f"    [{', '.join(_number(v) for v in row)}]," for row in model.covariance]
+        lines += ["", "[known]", *(f"{quoted(k)} = {number(v)}" for k, v in model.known.items())]
+    lines += ["", "[covariance]", f"parameters = {texts(model.fitted)}", "matrix = ["]
+    lines += [f"    [{', '.join(number(v) for v in row)}]," for row in model.covariance]
     lines.append("]")
     if model.provenance:
-        lines += ["", "[provenance]", *(f"{_text(k)} = {_text(v)}" for k, v in model.provenance.items())]
+        lines += ["", "[provenance]", *(f"{quoted(k)} = {quoted(v)}" for k, v in model.provenance.items())]
     return "\n".join(lines) + "\n"
 
 
-def _finite(where: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise BadInput(f"{where} is {value!r}, which is not a finite number: give one")
-    return float(value)
+def read_structure(where: str, table: Mapping[str, Any], key: str) -> Structure:
+    """The structure that a file's list names. Raises BadInput."""
+    ids = table.get(key)
+    if not isinstance(ids, list) or not ids:
+        raise BadInput(f'{where}: [structure] has no list `{key}`: add one, such as ["inertia"]')
+    for i in ids:
+        if not isinstance(i, str) or i not in EFFECTS:
+            raise BadInput(f"{where}: unknown effect {i!r} in [structure]; known are {', '.join(EFFECTS)}")
+    return Structure.of(ids)
 
 
-def _table(where: str, document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    table = document.get(key, {})
-    if not isinstance(table, dict):
-        raise BadInput(f"{where}: {key} is {table!r}, which is not a table: write it as [{key}]")
-    return table
+def read_units(where: str, axis: Mapping[str, Any]) -> tuple[str, str]:
+    """The units of axis and input that a file names. Raises BadInput."""
+    unit, input_unit = axis.get("unit", "rad"), axis.get("input_unit", "%")
+    if unit not in ("rad", "m"):
+        raise BadInput(f'{where}: [axis] unit is {unit!r}: use "rad" or "m"')
+    if input_unit not in tuple(INPUT_NAMES):
+        raise BadInput(f"{where}: [axis] input_unit is {input_unit!r}: use one of {', '.join(INPUT_NAMES)}")
+    return unit, input_unit
 
 
 def loads(text: str, where: str = "model") -> Model:
     """A model from TOML text. `where` names it in messages. Raises BadInput."""
-    try:
-        document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise BadInput(f"{where}: {error}; it is not valid TOML: mend that line") from None
-    if document.get("format") != FORMAT:
-        raise BadInput(
-            f"{where}: format is {document.get('format')!r}, not {FORMAT!r}: "
-            "give a MODEL.toml that twin identify or twin diagnose wrote"
-        )
-    axis, noise = _table(where, document, "axis"), _table(where, document, "noise")
-    ids = _table(where, document, "structure").get("effects")
-    if not isinstance(ids, list) or not ids:
-        raise BadInput(f'{where}: [structure] has no list `effects`: add one, such as ["inertia"]')
-    for i in ids:
-        if not isinstance(i, str) or i not in EFFECTS:
-            raise BadInput(f"{where}: unknown effect {i!r} in [structure]; known are {', '.join(EFFECTS)}")
-    structure = Structure.of(ids)
-    tables = _table(where, document, "parameters")
+    advice = "give a MODEL.toml that twin identify or twin diagnose wrote"
+    document = parse(text, where, FORMAT, advice)
+    axis, noise = section(where, document, "axis"), section(where, document, "noise")
+    structure = read_structure(where, section(where, document, "structure"), "effects")
+    tables = section(where, document, "parameters")
     values, intervals, notes = {}, {}, {}
     for p in structure.parameters:
         entry = tables.get(p.name)
         if not isinstance(entry, dict) or "value" not in entry:
             raise BadInput(f"{where}: [parameters.{p.name}] has no value: the structure needs it")
-        value = _finite(f"{where}: [parameters.{p.name}] value", entry["value"])
+        value = finite(f"{where}: [parameters.{p.name}] value", entry["value"])
         if not p.lower <= value <= p.upper:
             raise BadInput(f"{where}: {p.name} = {value:g} is outside [{p.lower:g}, {p.upper:g}]: correct it")
         values[p.name] = value
@@ -177,18 +163,12 @@ def loads(text: str, where: str = "model") -> Model:
     for name in tables:
         if name not in values:
             raise BadInput(f"{where}: [parameters.{name}] belongs to no effect of the structure: remove it")
-    fitted, covariance = _covariance(where, _table(where, document, "covariance"), values)
-    axis_unit, input_unit = axis.get("unit", "rad"), axis.get("input_unit", "%")
-    if axis_unit not in ("rad", "m"):
-        raise BadInput(f'{where}: [axis] unit is {axis_unit!r}: use "rad" or "m"')
-    if input_unit not in tuple(INPUT_NAMES):
-        raise BadInput(f"{where}: [axis] input_unit is {input_unit!r}: use one of {', '.join(INPUT_NAMES)}")
-    sample_time = _finite(f"{where}: [axis] sample_time", axis.get("sample_time", 0.002))
+    fitted, covariance = _covariance(where, section(where, document, "covariance"), values)
+    axis_unit, input_unit = read_units(where, axis)
+    sample_time = finite(f"{where}: [axis] sample_time", axis.get("sample_time", 0.002))
     if not 0.0 < sample_time <= 10.0:
-        raise BadInput(
-            f"{where}: [axis] sample_time is {sample_time:g} s: give a period above 0 and up to 10 s"
-        )
-    known = {k: _finite(f"{where}: [known] {k}", v) for k, v in _table(where, document, "known").items()}
+        raise BadInput(f"{where}: [axis] sample_time is {sample_time:g} s: give a period above 0 and up to 10 s")
+    known = {k: finite(f"{where}: [known] {k}", v) for k, v in section(where, document, "known").items()}
     return Model(
         structure=structure,
         values=values,
@@ -199,12 +179,12 @@ def loads(text: str, where: str = "model") -> Model:
         axis_unit=axis_unit,
         input_unit=input_unit,
         sample_time=sample_time,
-        resolution=_finite(f"{where}: [axis] resolution", axis.get("resolution", 0.0)),
+        resolution=finite(f"{where}: [axis] resolution", axis.get("resolution", 0.0)),
         reads_speed=bool(axis.get("reads_speed", False)),
-        reading_std=_finite(f"{where}: [noise] reading_std", noise.get("reading_std", 0.0)),
-        torque_density=_finite(f"{where}: [noise] torque_density", noise.get("torque_density", 0.0)),
+        reading_std=finite(f"{where}: [noise] reading_std", noise.get("reading_std", 0.0)),
+        torque_density=finite(f"{where}: [noise] torque_density", noise.get("torque_density", 0.0)),
         known=known,
-        provenance={k: str(v) for k, v in _table(where, document, "provenance").items()},
+        provenance={k: str(v) for k, v in section(where, document, "provenance").items()},
     )
 
 
@@ -214,34 +194,18 @@ def _covariance(
     names = table.get("parameters", [])
     rows = table.get("matrix", [])
     if not isinstance(names, list) or any(n not in tuple(values) for n in names):
-        raise BadInput(
-            f"{where}: [covariance] parameters must be names of the model's parameters: correct the list"
-        )
+        raise BadInput(f"{where}: [covariance] parameters must be names of the model's parameters: correct the list")
     good = isinstance(rows, list) and len(rows) == len(names)
     good = good and all(isinstance(r, list) and len(r) == len(names) for r in rows)
     if not good:
-        raise BadInput(
-            f"{where}: [covariance] matrix must have {len(names)} rows of {len(names)} numbers: correct it"
-        )
-    flat = [_finite(f"{where}: [covariance] matrix", v) for r in rows for v in r]
+        raise BadInput(f"{where}: [covariance] matrix must have {len(names)} rows of {len(names)} numbers: correct it")
+    flat = [finite(f"{where}: [covariance] matrix", v) for r in rows for v in r]
     return tuple(names), np.array(flat).reshape(len(names), len(names))
 
 
 def read(path: Path) -> Model:
     """Read MODEL.toml. Raises BadInput."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise BadInput(
-            f"{path}: there is no such model file: check the name, or make one with twin identify"
-        ) from None
-    except IsADirectoryError:
-        raise BadInput(f"{path} is a folder, not a model file: name the MODEL.toml in it") from None
-    except UnicodeDecodeError:
-        raise BadInput(f"{path} is not UTF-8 text, so not a model file: give a MODEL.toml") from None
-    except OSError as error:
-        raise BadInput(f"{path} cannot be read ({error.strerror}): check its permissions") from None
-    return loads(text, str(path))
+    return loads(load(path, "model", "MODEL.toml", "twin identify"), str(path))
 
 
 def known_values(model: Model) -> list[float]:

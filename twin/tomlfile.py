@@ -1,0 +1,83 @@
+"""TOML as the model and the controller file use it: written as text, read with one line on what is wrong."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from twin.errors import BadInput
+
+
+def number(value: float) -> str:
+    """A float that reads back as the same bits."""
+    return repr(float(value))
+
+
+def quoted(value: str) -> str:
+    """A basic string, quoted and escaped."""
+    escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("\t", "\\t")
+    return '"' + "".join(c if c >= " " and c != "\x7f" else f"\\u{ord(c):04x}" for c in escaped) + '"'
+
+
+def texts(values: tuple[str, ...]) -> str:
+    """A list of strings."""
+    return f"[{', '.join(map(quoted, values))}]"
+
+
+def pairs(table: Mapping[str, float]) -> list[str]:
+    """Lines of a table of numbers."""
+    return [f"{quoted(k)} = {number(v)}" if not k.isidentifier() else f"{k} = {number(v)}" for k, v in table.items()]
+
+
+def load(path: Path, kind: str, usual: str, maker: str) -> str:
+    """The text of a file of a kind ("model"), usually named `usual`, made by the command `maker`. Raises BadInput."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise BadInput(f"{path}: there is no such {kind} file: check the name, or make one with {maker}") from None
+    except IsADirectoryError:
+        raise BadInput(f"{path} is a folder, not a {kind} file: name the {usual} in it") from None
+    except UnicodeDecodeError:
+        raise BadInput(f"{path} is not UTF-8 text, so not a {kind} file: give a {usual}") from None
+    except OSError as error:
+        raise BadInput(f"{path} cannot be read ({error.strerror}): check its permissions") from None
+
+
+def parse(content: str, where: str, wanted: str, advice: str) -> dict[str, Any]:
+    """The document, whose `format` must be the wanted one. Raises BadInput, which ends in the advice."""
+    try:
+        document = tomllib.loads(content)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise BadInput(f"{where}: {error}; it is not valid TOML: mend that line") from None
+    if document.get("format") != wanted:
+        raise BadInput(f"{where}: format is {document.get('format')!r}, not {wanted!r}: {advice}")
+    return document
+
+
+def section(where: str, document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    """A table of the document, empty where it is absent. Raises BadInput."""
+    found = document.get(key, {})
+    if not isinstance(found, dict):
+        raise BadInput(f"{where}: {key} is {found!r}, which is not a table: write it as [{key}]")
+    return found
+
+
+def real(where: str, value: Any) -> float:
+    """A number, which may be infinite or NaN. Raises BadInput."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise BadInput(f"{where} is {value!r}, which is not a number: give one")
+    try:
+        return float(value)
+    except OverflowError:
+        raise BadInput(f"{where} is too large for a number: give another") from None
+
+
+def finite(where: str, value: Any) -> float:
+    """A finite number. Raises BadInput."""
+    found = real(where, value)
+    if not math.isfinite(found):
+        raise BadInput(f"{where} is {value!r}, which is not a finite number: give one")
+    return found
