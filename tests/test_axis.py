@@ -36,6 +36,18 @@ def test_a_link_held_on_a_slope_stays_for_an_hour():
     assert position[-1] < 0.85 and states[-1, 1] == 0.0
 
 
+def test_what_fades_for_ever_comes_to_rest():
+    """Numbers near 1e-310 cost twenty times the time: an axis left alone must not keep them."""
+    structure = Structure.of((*BASE, "motor_lag", "thermal_fade"))
+    values = PLAIN | GAP | {"viscous_friction": 6.0, "lag_time": 0.05, "fade": 0.3, "fade_time": 0.2}
+    time = clock(200.0, 0.02)
+    command = np.where(time < 1.0, 60.0, 0.0)
+    _, states = run(structure, values, time, command, kernel.start_state(0.0, 0.5, 0.0), longest=0.02)
+    assert np.all(states[60, [1, 3, 4, 5]] != 0.0), "all of it moves at first"
+    assert np.all(states[-1, [1, 3, 4, 5]] == 0.0)
+    assert np.all((states == 0.0) | (np.abs(states) >= 1e-150))
+
+
 @pytest.mark.parametrize("friction, b, speed", [(1.0, 2.0, 5.0), (3.0, 0.6, 2.0), (0.7, 6.0, 9.0)])
 def test_coast_down_stops_when_the_closed_form_says(friction, b, speed):
     structure = Structure.of(("inertia", "viscous_friction", "coulomb_friction"))
