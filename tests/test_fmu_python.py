@@ -440,6 +440,9 @@ def test_the_start_is_read_off_the_recording():
     resting = dataclasses.replace(recording_of(model, time, 0.0 * time, counts), resolution=6e-4)
     position, velocity = package.start_of(resting)
     assert velocity == 0.0 and position == pytest.approx(0.7, abs=6e-4)
+    setting_off = 0.7 + 0.1 * time + 50.0 * time**2 + rng.normal(0.0, 1e-6, 500)
+    found = package.start_of(recording_of(model, time, 0.0 * time, setting_off))
+    assert found == pytest.approx((0.7, 0.1), abs=2e-3)  # a line would say 1.1 per s
     with pytest.raises(BadInput, match="no reading"):
         package.start_of(recording_of(model, time, 0.0 * time))
 

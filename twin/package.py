@@ -183,28 +183,32 @@ class Replay:
 
 
 def start_of(recording: Recording, window: float = 0.02) -> tuple[float, float]:
-    """Position and velocity at the first stamp, from a line through the readings of the first `window` s.
+    """Position and velocity at the first stamp, from the readings of the first `window` s.
 
-    A speed that is within what noise and resolution make of a resting axis is taken as rest. A recording of
-    speed begins at position zero.
+    They lie on a line, or on a parabola where that is clearly better: a line through an axis that sets off would
+    start it faster than it was. A speed that is within what noise and resolution make of a resting axis is taken as
+    rest. A recording of speed begins at position zero.
     """
     seen = np.flatnonzero(np.isfinite(recording.output))
     if seen.size == 0:
         raise BadInput(f"{recording.name}: no reading is left, so there is nothing to compare with")
     near = seen[recording.time[seen] <= max(recording.time[seen[0]] + window, recording.time[seen[:5][-1]])]
-    time, output = recording.time[near], recording.output[near]
+    time, output = recording.time[near] - recording.time[0], recording.output[near]
     if recording.is_speed:
         return 0.0, float(np.mean(output))
     if len(near) < 3:
         return float(output[0]), 0.0
-    middle = time - time.mean()
-    spread = float(middle @ middle)
-    slope = float(middle @ output) / spread
-    rest = output - output.mean() - slope * middle
-    noise = max(float(rest @ rest) / (len(near) - 2), recording.resolution**2 / 12.0)
-    if abs(slope) < 3.0 * math.sqrt(noise / spread):
-        return float(output.mean()), 0.0
-    return float(output.mean() + slope * (recording.time[0] - time.mean())), slope
+    for degree in (2, 1):
+        powers = time[:, None] ** np.arange(degree + 1)
+        found, _, rank, _ = np.linalg.lstsq(powers, output, rcond=None)
+        spare = len(near) - degree - 1
+        if rank <= degree or spare < 2 * degree - 1:
+            continue
+        noise = max(float(np.sum((output - powers @ found) ** 2)) / spare, recording.resolution**2 / 12.0)
+        error = np.sqrt(noise * np.diag(np.linalg.inv(powers.T @ powers)))
+        if abs(found[degree]) > (4.0 if degree == 2 else 3.0) * error[degree]:
+            return float(found[0]), float(found[1])
+    return float(output.mean()), 0.0
 
 
 def replay(fmu: Path, recording: Recording, start: tuple[float, float] | None = None) -> Replay:
