@@ -41,7 +41,7 @@ BARE = """
 #include <math.h>
 typedef enum { NEVER, BEFORE_START, ANY_TIME } Settable;
 typedef struct { const char *name; size_t slot; double least, most; Settable settable; } Variable;
-#include "axis.h"
+#include "model.h"
 static double command[100000];
 static double now(void) { struct timespec t; clock_gettime(CLOCK_MONOTONIC, &t); return t.tv_sec + 1e-9 * t.tv_nsec; }
 int main(int argc, char **argv)
@@ -99,7 +99,7 @@ def run(command: list[str], folder: Path, given: str = "") -> str:
 
 def bare(model: Model, pieces: int, repeat: int, folder: Path) -> float:
     """Seconds that the physics alone takes for one communication step."""
-    (folder / "axis.h").write_text(native.sources(model, 2)["axis.h"])
+    (folder / "model.h").write_text(native.sources(native.of_axis(model), 2)["model.h"])
     (folder / "bare.c").write_text(BARE)
     run(["cc", *OPTIONS, "-D_POSIX_C_SOURCE=200809L", "-o", "bare", "bare.c", "-lm"], folder)
     return float(run(["./bare", str(pieces), str(repeat), repr(pieces * model.longest_step)], folder, COMMANDS))

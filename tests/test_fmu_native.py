@@ -308,7 +308,7 @@ def test_no_overwriting_and_no_half_file(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def write_sources(model: Model, fmi: int, folder: Path) -> None:
-    for name, text in native.sources(model, fmi).items():
+    for name, text in native.sources(native.of_axis(model), fmi).items():
         (folder / name).write_text(text)
 
 

@@ -5,16 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 import uuid
-import xml.etree.ElementTree as ET
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from fmu_src import pack
-from twin import description, sampled
+from twin import description, native, sampled
 from twin.axis import KNOWN, STATES
 from twin.controller import Controller, dumps
-from twin.native import check_output
+from twin.files import check_free, put
 from twin.variables import Variable
 
 #: Settings that shape the text's loops, so that no importer may change them.
@@ -25,6 +24,7 @@ _INPUTS = {
     "reference_acceleration": ("{x}/s^2", "its acceleration"),
     "position_measured": ("{x}", "what the position sensor reads"),
 }
+_CLOCK = 3  # time since the start, ticks, the command that goes out at the next: they head what is remembered
 _SOURCE = Path(pack.__file__).with_name("controller_fmu.py")
 
 
@@ -53,7 +53,7 @@ def variables(controller: Controller) -> tuple[Variable, ...]:
     for name, (unit, says) in sampled.SETTINGS.items():
         if name not in FIXED:
             add(name, tunable, unit, says, start=float(controller.settings[name]))
-    for i in range(3 + sum(_sizes(controller))):
+    for i in range(_CLOCK + sum(_sizes(controller))):
         add(f"memory[{i + 1}]", held, "1", "what the controller remembers")
     return tuple(found)
 
@@ -74,68 +74,86 @@ def interface(controller: Controller) -> dict[str, Any]:
     }
 
 
-def described(controller: Controller, identifier: str, token: str) -> bytes:
-    """modelDescription.xml. The output depends on nothing in the same step: no algebraic loop with the plant."""
-    shown = variables(controller)
-    root = ET.Element(
-        "fmiModelDescription",
-        {
-            "fmiVersion": "2.0",
-            "modelName": "controller",
-            "guid": token,
-            "description": f"feedback-linearising controller at {controller.bandwidth:.4g} Hz",
-            "generationTool": "twin, pythonfmu",
-            "license": "MIT",
-            "variableNamingConvention": "structured",
-        },
-    )
-    can = (
-        "needsExecutionTool",
-        "canHandleVariableCommunicationStepSize",
-        "canNotUseMemoryManagementFunctions",
-        "canGetAndSetFMUstate",
-        "canSerializeFMUstate",
-    )
-    ET.SubElement(root, "CoSimulation", {"modelIdentifier": identifier} | dict.fromkeys(can, "true"))
-    description.add_units(root, {v.unit for v in shown})
-    categories = ET.SubElement(root, "LogCategories")
-    ET.SubElement(categories, "Category", name="logStatusError", description="why a call was refused")
-    ET.SubElement(root, "DefaultExperiment", startTime="0.0", stepSize=repr(controller.sample_time))
-    listed = ET.SubElement(root, "ModelVariables")
-    for v in shown:
-        attributes = {"name": v.name, "valueReference": str(v.reference), "description": v.description}
-        attributes |= {"causality": v.causality, "variability": v.variability}
-        if v.initial:
-            attributes["initial"] = v.initial
-        numbers = {k: getattr(v, k) for k in ("min", "max", "nominal", "start")}
-        real = {"unit": v.unit} | {k: repr(float(n)) for k, n in numbers.items() if n is not None}
-        ET.SubElement(ET.SubElement(listed, "ScalarVariable", attributes), "Real", real)
-    structure = ET.SubElement(root, "ModelStructure")
-    for part in ("Outputs", "InitialUnknowns"):
-        group = ET.SubElement(structure, part)
-        for v in shown:
-            if v.causality == "output":
-                ET.SubElement(group, "Unknown", index=str(v.reference + 1), dependencies="")
-    return description.text(root)
+def _identity(controller: Controller, digest: str, token: str) -> description.Identity:
+    says = f"feedback-linearising controller at {controller.bandwidth:.4g} Hz"
+    return description.Identity(f"controller_{digest}", token, "controller", says, controller.sample_time)
+
+
+def _resources(controller: Controller) -> dict[str, str]:
+    starts = [f"{v.name} {v.start!r}" for v in variables(controller) if v.causality == "parameter"]
+    return {
+        "parameters.txt": "\n".join(["# start values", *starts]) + "\n",
+        "controller.toml": dumps(controller),
+    }
 
 
 def export_controller(controller: Controller, out: Path, force: bool = False) -> Path:
     """Write the controller's FMU (FMI 2.0 co-simulation, through pythonfmu). Raises BadInput."""
-    check_output(out, force)
+    check_free(out, force)
     text = pack.SLAVE.read_text(encoding="utf-8") + _SOURCE.read_text(encoding="utf-8")
     text += sampled.write(controller.structure)
-    face = interface(controller)
-    listed = [asdict(v) for v in variables(controller)]
-    digest = hashlib.sha256((json.dumps([face, listed]) + text).encode()).hexdigest()
-    identifier, token = f"controller_{digest[:12]}", f"{{{uuid.UUID(digest[:32])}}}"
-    starts = [f"{v.name} {v.start!r}" for v in variables(controller) if v.causality == "parameter"]
-    resources = {
-        "interface.json": json.dumps(face, indent=1) + "\n",
-        "parameters.txt": "\n".join(["# start values", *starts]) + "\n",
-        "controller.toml": dumps(controller),
-    }
-    content = pack.pack(text, identifier, resources, described(controller, identifier, token))
-    half = out.with_name(f".{out.name}.part")
-    half.write_bytes(content)
-    half.replace(out)
+    face, shown = interface(controller), variables(controller)
+    digest = hashlib.sha256((json.dumps([face, [asdict(v) for v in shown]]) + text).encode()).hexdigest()
+    who = _identity(controller, digest[:12], f"{{{uuid.UUID(digest[:32])}}}")
+    described = description.through_python(description.fmi2(who, shown, (), description.NO_SOLVER))
+    resources = _resources(controller) | {"interface.json": json.dumps(face, indent=1) + "\n"}
+    put(out, pack.pack(text, who.identifier, resources, described))
     return out
+
+
+# ---- native ----
+
+
+def _header(controller: Controller, token: str) -> str:
+    """model.h: sizes, the table of variables, the start values, and the controller's text in C."""
+    shown, parameters = variables(controller), controller.structure.parameters
+    observer, memory, queue = _sizes(controller)
+    # What the text takes as an array stands together, so the settings that nobody may change have a place, too.
+    names = [*_INPUTS, controller.input_name, *(p.name for p in parameters), *KNOWN, *sampled.SETTINGS]
+    names += [v.name for v in shown if v.causality == "local"]
+    slots = {name: i for i, name in enumerate(names)}
+    constants: dict[str, object] = {
+        "MOTION": '"controller.h"',
+        "TOKEN": f'"{token}"',
+        "VARIABLES": len(shown),
+        "SLOTS": len(slots),
+        "FIRST_INPUT": 0,
+        "OUTPUT": slots[controller.input_name],
+        "FIRST_PARAMETER": slots[parameters[0].name],
+        "PARAMETERS": len(parameters),
+        "OFFSET": [p.name for p in parameters].index("offset"),
+        "FIRST_KNOWN": slots[next(iter(KNOWN))],
+        "FIRST_SETTING": slots["sample_time"],
+        "SAMPLE_TIME": repr(controller.sample_time),
+        "FIRST_STATE": slots["memory[1]"],
+        "STATES": _CLOCK + observer + memory + queue,
+        "OBSERVER_STATES": observer,
+        "MEMORY": memory,
+        **{name.upper(): sampled.MEMORY.index(name) for name in ("started", "nominal", "disturbance")},
+        "EXCHANGE": 0,
+        "CONTINUOUS_STATES": 0,
+        "INDICATORS": 0,
+        "CLOCK_REFERENCE": len(shown),
+    }
+    starts = dict.fromkeys(names, 0.0) | dict(controller.settings) | {v.name: v.start for v in shown}
+    fixed = ", ".join(str(slots[name]) for name in FIXED)
+    text = [
+        *(f"static const size_t {name}[] = {{0}};" for name in ("continuous", "derivative", "indicator")),
+        f"static const size_t fixed[] = {{{fixed}}};",
+        "",
+        sampled.write_c(controller.structure, queue),
+    ]
+    return native.header_text(constants, [native.row(v, slots[v.name]) for v in shown], starts, text)
+
+
+def export_native(controller: Controller, out: Path, fmi: int = 2, force: bool = False) -> Path:
+    """Write the controller as a native FMU of FMI 2 or 3 and return its path. Raises BadInput."""
+    shown, queue = variables(controller), _sizes(controller)[-1]
+    settled = repr([controller.settings[name] for name in FIXED])
+    digest = native.digest_of(sampled.write_c(controller.structure, queue) + settled, shown, "controller.h")
+    who = _identity(controller, digest[:8], native.token_of(digest))
+    header, resources = _header(controller, who.token), _resources(controller)
+    made = native.Export(
+        who, shown, description.NO_SOLVER, header, "controller.h", resources, controller.structure
+    )  # fmt: skip
+    return native.write(made, out, fmi, force)

@@ -1,23 +1,32 @@
-"""modelDescription.xml of the native FMU, written from the one list of variables."""
+"""modelDescription.xml of an FMU, written from its one list of variables."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from twin.model import Model
-from twin.variables import Variable, base_unit, variables
+from twin.variables import Variable, base_unit
 
 _DEGREES_PER_RADIAN = 57.29577951308232
 
 
 @dataclass(frozen=True)
 class Identity:
-    """What ties a description to its binaries."""
+    """What an FMU is called, and what ties its description to its binaries."""
 
     identifier: str  # name of the binaries, a C identifier
     token: str  # FMI 2's GUID, FMI 3's instantiation token
     title: str
+    says: str  # what it is, in a line
+    sample_time: float  # s, the communication step that suits it
+
+
+def of_axis(model: Model, identifier: str, token: str) -> Identity:
+    """An axis under these names."""
+    said = "; ".join(e.title for e in model.structure.effects)
+    return Identity(identifier, token, "axis", f"motor-driven axis with {said}", model.sample_time)
 
 
 @dataclass(frozen=True)
@@ -50,6 +59,9 @@ class Solver:
 
     derivatives: tuple[Derivative, ...]
     margins: tuple[Margin, ...]
+
+
+NO_SOLVER = Solver((), ())
 
 
 def _number(value: float) -> str:
@@ -92,15 +104,14 @@ def _margin(m: Margin) -> dict[str, str]:
     return {"name": m.name, "valueReference": str(m.reference), "description": said} | kind
 
 
-def _root(model: Model, identity: Identity, version: str, token_name: str) -> ET.Element:
-    said = "; ".join(e.title for e in model.structure.effects)
+def _root(identity: Identity, version: str, token_name: str) -> ET.Element:
     return ET.Element(
         "fmiModelDescription",
         {
             "fmiVersion": version,
             "modelName": identity.title,
             token_name: identity.token,
-            "description": f"motor-driven axis with {said}",
+            "description": identity.says,
             "generationTool": "twin",
             "license": "MIT",
             "variableNamingConvention": "structured",
@@ -108,14 +119,13 @@ def _root(model: Model, identity: Identity, version: str, token_name: str) -> ET
     )
 
 
-def _experiment(root: ET.Element, model: Model) -> None:
-    ET.SubElement(root, "DefaultExperiment", startTime="0.0", stepSize=_number(model.sample_time))
+def _experiment(root: ET.Element, identity: Identity) -> None:
+    ET.SubElement(root, "DefaultExperiment", startTime="0.0", stepSize=_number(identity.sample_time))
 
 
-def fmi2(model: Model, identity: Identity, sources: tuple[str, ...], solver: Solver) -> bytes:
+def fmi2(identity: Identity, shown: Sequence[Variable], sources: tuple[str, ...], solver: Solver) -> bytes:
     """modelDescription.xml of FMI 2.0: co-simulation, and model exchange where there are derivatives."""
-    shown = variables(model)
-    root = _root(model, identity, "2.0", "guid")
+    root = _root(identity, "2.0", "guid")
     if solver.derivatives:
         root.set("numberOfEventIndicators", str(len(solver.margins)))
     can = {
@@ -133,7 +143,7 @@ def fmi2(model: Model, identity: Identity, sources: tuple[str, ...], solver: Sol
     add_units(root, {v.unit for v in shown} | {d.unit for d in solver.derivatives})
     categories = ET.SubElement(root, "LogCategories")
     ET.SubElement(categories, "Category", name="logStatusError", description="why a call was refused")
-    _experiment(root, model)
+    _experiment(root, identity)
     listed = ET.SubElement(root, "ModelVariables")
     jumping = {d.state.name for d in solver.derivatives} & {"velocity", "motor_velocity"}
     for v in shown:
@@ -173,10 +183,9 @@ def fmi2(model: Model, identity: Identity, sources: tuple[str, ...], solver: Sol
     return text(root)
 
 
-def fmi3(model: Model, identity: Identity, solver: Solver) -> bytes:
+def fmi3(identity: Identity, shown: Sequence[Variable], solver: Solver) -> bytes:
     """modelDescription.xml of FMI 3.0: co-simulation, and model exchange where there are derivatives."""
-    shown = variables(model)
-    root = _root(model, identity, "3.0", "instantiationToken")
+    root = _root(identity, "3.0", "instantiationToken")
     can = {"modelIdentifier": identity.identifier, "canGetAndSetFMUState": "true", "canSerializeFMUState": "true"}
     if solver.derivatives:
         ET.SubElement(root, "ModelExchange", can)
@@ -184,7 +193,7 @@ def fmi3(model: Model, identity: Identity, solver: Solver) -> bytes:
     add_units(root, {v.unit for v in shown} | {d.unit for d in solver.derivatives})
     categories = ET.SubElement(root, "LogCategories")
     ET.SubElement(categories, "Category", name="logStatusError", description="why a call was refused")
-    _experiment(root, model)
+    _experiment(root, identity)
     listed = ET.SubElement(root, "ModelVariables")
     jumping = {d.state.name for d in solver.derivatives} & {"velocity", "motor_velocity"}
     for v in shown:
@@ -222,6 +231,17 @@ def fmi3(model: Model, identity: Identity, solver: Solver) -> bytes:
         ET.SubElement(structure, "InitialUnknown", valueReference=str(d.reference))
     for m in solver.margins:
         ET.SubElement(structure, "EventIndicator", valueReference=str(m.reference))
+    return text(root)
+
+
+def through_python(described: bytes) -> bytes:
+    """FMI 2's description of an FMU that pythonfmu runs: it needs Python in the host, and has no C."""
+    root = ET.fromstring(described)
+    root.set("generationTool", "twin, pythonfmu")
+    for simulation in root.iter("CoSimulation"):
+        simulation.set("needsExecutionTool", "true")
+        for files in simulation.findall("SourceFiles"):
+            simulation.remove(files)
     return text(root)
 
 

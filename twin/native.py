@@ -1,4 +1,4 @@
-"""The native FMU: C for the physics from the writer, our plumbing, the standard's headers; compiled, packed.
+"""The native FMU: C from the writer, our plumbing, the standard's headers; compiled, packed.
 
 Needs no Python in the host. With ziglang (the extra `native`) it is compiled for five platforms, otherwise by
 the local C compiler for this one.
@@ -18,13 +18,13 @@ import subprocess
 import sys
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from twin import description
-from twin.axis import KNOWN, STATES
-from twin.description import Derivative, Identity, Margin, Solver
+from twin.axis import KNOWN, STATES, Structure
+from twin.description import NO_SOLVER, Derivative, Identity, Margin, Solver
 from twin.errors import BadInput
 from twin.model import Model, dumps
 from twin.variables import ROUND, STATE_NAMES, Variable, delay_capacity, parameters_text, variables
@@ -60,6 +60,19 @@ TARGETS: tuple[Target, ...] = (
 )
 
 
+@dataclass(frozen=True)
+class Export:
+    """What becomes a native FMU: an axis, or the controller of one."""
+
+    identity: Identity
+    variables: tuple[Variable, ...]
+    solver: Solver
+    header: str  # the text of model.h
+    motion: str  # the plumbing that goes through a communication step: axis.h or controller.h
+    resources: Mapping[str, str]
+    effects: Structure  # that its page lists
+
+
 # ---- C ----
 
 
@@ -79,7 +92,7 @@ def _behind(model: Model) -> tuple[str, ...]:
 def solver(model: Model) -> Solver:
     """What model exchange adds behind the variables; nothing where it is not offered."""
     if not exchange.offered(model.structure):
-        return Solver((), ())
+        return NO_SOLVER
     shown = {v.name: v for v in variables(model)}
     states = [shown[name] for name in exchange.continuous(model.structure)]
     watched = exchange.margins(model.structure)
@@ -107,7 +120,8 @@ def _c_number(value: float | None, absent: str = "0.0") -> str:
     return absent if value is None or not math.isfinite(value) else repr(float(value))
 
 
-def _row(v: Variable, slot: int) -> str:
+def row(v: Variable, slot: int) -> str:
+    """A variable's row in the table of model.h."""
     settable = {"input": "ANY_TIME", "parameter": "BEFORE_START" if v.variability == "fixed" else "ANY_TIME"}
     # The bounds of the input are for the importer's information: a saturated command is no error.
     low, high = (None, None) if v.causality == "input" else (v.min, v.max)
@@ -116,11 +130,12 @@ def _row(v: Variable, slot: int) -> str:
 
 
 def header(model: Model, token: str) -> str:
-    """axis.h: sizes, the table of variables, the compiled-in start values, and the physics."""
+    """model.h of an axis: sizes, the table of variables, the compiled-in start values, and the physics."""
     shown, slots, outside = variables(model), _slots(model), solver(model)
     behind = [(d.name, f"rate_{d.state.name}") for d in outside.derivatives]
     behind += [(m.name, m.name) for m in outside.margins]
     constants: dict[str, object] = {
+        "MOTION": '"axis.h"',
         "TOKEN": f'"{token}"',
         "VARIABLES": len(shown) + len(behind),
         "SLOTS": len(slots),
@@ -152,40 +167,66 @@ def header(model: Model, token: str) -> str:
             "DELAY_VALUE": slots["delay_value[1]"],
         }
     starts = {v.name: v.start for v in shown} | {k: float(model.known.get(k, 0.0)) for k in KNOWN}
+    rows = [
+        *(row(v, slots[v.name]) for v in shown),
+        *(f'    {{"{name}", {slots[place]}, -HUGE_VAL, HUGE_VAL, NEVER}},' for name, place in behind),
+    ]
+    text = [*_solver_tables(model), "", c.write(model.structure)]
+    text += [exchange.write(model.structure)] if behind else []
+    return header_text(constants, rows, {name: starts.get(name) for name in slots}, text)
+
+
+def header_text(
+    constants: Mapping[str, object], rows: Sequence[str], starts: Mapping[str, float | None], text: Sequence[str]
+) -> str:
+    """model.h of constants, rows of the table of variables, start values by slot, and what else it brings."""
     return "\n".join(
         [
-            "/* Written for one model: its variables, its start values and its physics. */",
+            "/* Written for one model: its variables, its start values and its functions. */",
             *(f"#define {name} {value}" for name, value in constants.items()),
             "",
             "static const Variable variables[VARIABLES] = {",
-            *(_row(v, slots[v.name]) for v in shown),
-            *(f'    {{"{name}", {slots[place]}, -HUGE_VAL, HUGE_VAL, NEVER}},' for name, place in behind),
+            *rows,
             "};",
             "",
             "static const double compiled_in[SLOTS] = {",
-            *(f"    {_c_number(starts.get(name))}, /* {name} */" for name in slots),
+            *(f"    {_c_number(value)}, /* {name} */" for name, value in starts.items()),
             "};",
             "",
-            *_solver_tables(model),
-            "",
-            c.write(model.structure),
-            exchange.write(model.structure) if behind else "",
+            *text,
         ]
     )
 
 
+def digest_of(physics: str, shown: Iterable[Variable], motion: str) -> str:
+    """Tells exports apart, but not those that differ in start values only, so that these can be set."""
+    listed = [replace(v, start=None) for v in shown]
+    content = "\n".join([physics, repr(listed), *(plumbing(n) for n in ("instance.h", motion, "fmi2.c", "fmi3.c"))])
+    return hashlib.sha256(content.encode()).hexdigest()
+
+
+def token_of(digest: str) -> str:
+    """A GUID made of a digest."""
+    return "{" + "-".join((digest[:8], digest[8:12], digest[12:16], digest[16:20], digest[20:32])) + "}"
+
+
 def identity(model: Model) -> Identity:
-    """Name and token: the same for models that differ in parameter values only, so that these can be set."""
-    shown = [replace(v, start=None) for v in variables(model)]
-    plumbing = [_plumbing(name) for name in ("instance.h", "fmi2.c", "fmi3.c")]
+    """Name and token: the same for models that differ in parameter values only."""
     outside = exchange.write(model.structure) if exchange.offered(model.structure) else ""
-    content = "\n".join([c.write(model.structure), outside, repr(shown), *plumbing])
-    digest = hashlib.sha256(content.encode()).hexdigest()
-    token = "-".join((digest[:8], digest[8:12], digest[12:16], digest[16:20], digest[20:32]))
-    return Identity(f"axis_{digest[:8]}", f"{{{token}}}", "axis")
+    digest = digest_of(f"{c.write(model.structure)}\n{outside}", variables(model), "axis.h")
+    return description.of_axis(model, f"axis_{digest[:8]}", token_of(digest))
 
 
-def _plumbing(name: str) -> str:
+def of_axis(model: Model) -> Export:
+    """A model, ready to be compiled."""
+    who = identity(model)
+    resources = {"model.toml": dumps(model), "parameters.txt": parameters_text(model)}
+    text = header(model, who.token)
+    return Export(who, variables(model), solver(model), text, "axis.h", resources, model.structure)
+
+
+def plumbing(name: str) -> str:
+    """A file of fmu_src/native."""
     spec = importlib.util.find_spec("fmu_src")
     places = (spec.submodule_search_locations if spec else None) or []
     folder = next(Path(place) / "native" for place in places if (Path(place) / "native").is_dir())
@@ -198,11 +239,11 @@ def _standard_header(name: str) -> str:
     return (Path(spec.origin).parent / "c-code" / name).read_text(encoding="utf-8")
 
 
-def sources(model: Model, fmi: int) -> dict[str, str]:
+def sources(made: Export, fmi: int) -> dict[str, str]:
     """Every C file of the FMU, by name."""
-    files = {name: _plumbing(name) for name in (*_SOURCES[fmi], "instance.h")}
+    files = {name: plumbing(name) for name in (*_SOURCES[fmi], "instance.h", made.motion)}
     files |= {name: _standard_header(name) for name in _HEADERS[fmi]}
-    return files | {"axis.h": header(model, identity(model).token)}
+    return files | {"model.h": made.header}
 
 
 # ---- compilers ----
@@ -252,9 +293,8 @@ def universal(thin: Mapping[str, bytes]) -> bytes:
     return head.ljust(1 << page, b"\0") + body
 
 
-def _binaries(model: Model, fmi: int, folder: Path) -> dict[str, bytes]:
-    """Path in the archive -> library, for every platform that can be compiled for."""
-    name = identity(model).identifier
+def _binaries(name: str, fmi: int, folder: Path) -> dict[str, bytes]:
+    """Path in the archive -> library of this name, for every platform that can be compiled for."""
     if not _has_zig():
         compiler = os.environ.get("CC") or next(filter(shutil.which, ("cc", "gcc", "clang")), None)
         if compiler is None:
@@ -282,19 +322,18 @@ def _binaries(model: Model, fmi: int, folder: Path) -> dict[str, bytes]:
 # ---- archive ----
 
 
-def _page(model: Model) -> str:
-    """documentation/index.html: what the axis contains and what its variables are."""
+def _page(made: Export) -> str:
+    """documentation/index.html: what it contains and what its variables are."""
     rows = "\n".join(
         f"<tr><td>{html.escape(v.name)}</td><td>{html.escape(v.unit)}</td><td>{html.escape(v.description)}</td></tr>"
-        for v in variables(model)
+        for v in made.variables
         if v.causality != "local"
     )
-    effects = "\n".join(
-        f"<li>{html.escape(e.title)} ({html.escape(e.reference)})</li>" for e in model.structure.effects
-    )
+    effects = "\n".join(f"<li>{html.escape(e.title)} ({html.escape(e.reference)})</li>" for e in made.effects.effects)
+    title, says = html.escape(made.identity.title.capitalize()), html.escape(made.identity.says)
     return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>Axis</title></head><body>\n'
-        f"<h1>Motor-driven axis</h1>\n<ul>\n{effects}\n</ul>\n"
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title></head><body>\n'
+        f"<h1>{title}</h1>\n<p>{says}</p>\n<ul>\n{effects}\n</ul>\n"
         f"<table>\n<tr><th>variable</th><th>unit</th><th>meaning</th></tr>\n{rows}\n</table>\n</body></html>\n"
     )
 
@@ -331,25 +370,29 @@ def check_output(out: Path, force: bool) -> None:
 
 def export_native(model: Model, out: Path, fmi: int = 2, force: bool = False) -> Path:
     """Write the model as a native FMU of FMI 2 or 3 and return its path. Raises BadInput."""
+    return write(of_axis(model), out, fmi, force)
+
+
+def write(made: Export, out: Path, fmi: int, force: bool) -> Path:
+    """Compile and pack for every platform that can be compiled for; the path. Raises BadInput."""
     if fmi not in (2, 3):
         raise BadInput(f"FMI version {fmi} is not offered: use 2 or 3")
     check_output(out, force)
-    who = identity(model)
-    c_files = sources(model, fmi)
-    with tempfile.TemporaryDirectory(prefix="twin-") as made:
-        folder = Path(made)
+    who = made.identity
+    c_files = sources(made, fmi)
+    with tempfile.TemporaryDirectory(prefix="twin-") as built:
+        folder = Path(built)
         for name, content in c_files.items():
             (folder / name).write_text(content, encoding="utf-8")
-        binaries = _binaries(model, fmi, folder)
+        binaries = _binaries(who.identifier, fmi, folder)
     if fmi == 2:
-        files = {"modelDescription.xml": description.fmi2(model, who, _SOURCES[fmi], solver(model))}
+        files = {"modelDescription.xml": description.fmi2(who, made.variables, _SOURCES[fmi], made.solver)}
     else:
-        files = {"modelDescription.xml": description.fmi3(model, who, solver(model))}
+        files = {"modelDescription.xml": description.fmi3(who, made.variables, made.solver)}
         files["sources/buildDescription.xml"] = description.fmi3_build(who, _SOURCES[fmi])
     files |= {f"sources/{name}": content.encode() for name, content in c_files.items()}
-    files["resources/model.toml"] = dumps(model).encode()
-    files["resources/parameters.txt"] = parameters_text(model).encode()
-    files["documentation/index.html"] = _page(model).encode()
-    files["documentation/licenses/LICENSE.txt"] = _plumbing("LICENSE.txt").encode()
+    files |= {f"resources/{name}": content.encode() for name, content in made.resources.items()}
+    files["documentation/index.html"] = _page(made).encode()
+    files["documentation/licenses/LICENSE.txt"] = plumbing("LICENSE.txt").encode()
     write_archive(files | binaries, out)
     return out

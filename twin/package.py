@@ -9,7 +9,6 @@ import json
 import math
 import re
 import uuid
-import xml.etree.ElementTree as ET
 import zipfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -61,18 +60,13 @@ def identity(model: Model) -> description.Identity:
     listed = [asdict(v) | {"start": None} for v in variables(model)]
     said = [interface(model), listed, model.sample_time, importlib.metadata.version("pythonfmu")]
     digest = hashlib.sha256((json.dumps(said) + slave_text(model)).encode()).hexdigest()
-    return description.Identity(f"axis_{digest[:12]}", f"{{{uuid.UUID(digest[:32])}}}", "axis")
+    return description.of_axis(model, f"axis_{digest[:12]}", f"{{{uuid.UUID(digest[:32])}}}")
 
 
 def described(model: Model) -> bytes:
     """modelDescription.xml of the FMU that needs Python."""
-    root = ET.fromstring(description.fmi2(model, identity(model), (), description.Solver((), ())))
-    root.set("generationTool", "twin, pythonfmu")
-    for simulation in root.iter("CoSimulation"):
-        simulation.set("needsExecutionTool", "true")
-        for files in simulation.findall("SourceFiles"):
-            simulation.remove(files)
-    return description.text(root)
+    written = description.fmi2(identity(model), variables(model), (), description.NO_SOLVER)
+    return description.through_python(written)
 
 
 def export(model: Model, out: Path, force: bool = False) -> Path:

@@ -17,10 +17,12 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
+from collections.abc import Mapping
 from math import floor, sqrt
 from typing import ClassVar
 
 from twin.axis import EVERYTHING, STATES, Structure
+from twin.writers import c
 from twin.writers.python import module as axis_module
 from twin.writers.python import numbering, resolve
 
@@ -303,6 +305,25 @@ def module(structure: Structure, switched: bool = False) -> ast.Module:
 def write(structure: Structure) -> str:
     """Plain Python text, standard library only: `sample(...)`, `step(...)` and the laws."""
     return "from math import cos, exp, floor, sin, sqrt, tanh\n\n\n" + ast.unparse(module(structure)) + "\n"
+
+
+class _Length(ast.NodeTransformer):
+    """len(name) -> its number, for a tongue whose arrays do not know theirs."""
+
+    def __init__(self, lengths: Mapping[str, int]) -> None:
+        self.lengths = lengths
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:
+        self.generic_visit(node)
+        if isinstance(node.func, ast.Name) and node.func.id == "len":
+            return ast.Constant(self.lengths[node.args[0].id])
+        return node
+
+
+def write_c(structure: Structure, queue: int) -> str:
+    """C99 text, needs only math.h and stddef.h: `sample(...)`, for a queue of this many commands."""
+    tree = _Length({"x": len(STATES), "q": queue}).visit(module(structure))
+    return "#include <math.h>\n#include <stddef.h>\n\n" + c.functions(tree, "sample")
 
 
 def write_switched() -> str:

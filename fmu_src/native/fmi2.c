@@ -1,4 +1,4 @@
-/* FMI 2.0 over one instance of an axis. */
+/* FMI 2.0 over one instance. */
 #include "fmi2Functions.h"
 #include "instance.h"
 

@@ -1,4 +1,4 @@
-/* FMI 3.0 over one instance of an axis. */
+/* FMI 3.0 over one instance. */
 #include "fmi3Functions.h"
 #include "instance.h"
 
@@ -49,7 +49,7 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token
                                                fmi3UnlockPreemptionCallback unlock)
 {
     (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)update, (void)lock, (void)unlock;
-    if (log != NULL) log(environment, fmi3Error, "logStatusError", "this axis has no clocks to schedule");
+    if (log != NULL) log(environment, fmi3Error, "logStatusError", "this FMU has no clocks to schedule");
     return NULL;
 }
 
@@ -73,7 +73,7 @@ fmi3Status fmi3Reset(fmi3Instance c)
     return fmi3OK;
 }
 
-/* ---- values; `time` comes after the axis's own variables ---- */
+/* ---- values; `time` comes after the model's own variables ---- */
 
 fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Float64 value[], size_t m)
 {

@@ -1,8 +1,9 @@
-/* One instance of an exported axis: values, start and reset, communication steps, saved states.
+/* One instance of what is exported: values, start and reset, communication steps, saved states.
  *
- * Knows FMI's rules and no physics. axis.h, written for each model, brings the table of variables and the
- * functions `step` and `sensor`. fmi2.c and fmi3.c put the standard's names on what is here. Memory is taken when
- * an instance is made and when an importer asks for a copy of the state, at no other time.
+ * Knows FMI's rules and no physics. model.h, written for each export, brings the table of variables, the start
+ * values and the functions; its MOTION names axis.h or controller.h, which say how these go through a step.
+ * fmi2.c and fmi3.c put the standard's names on what is here. Memory is taken when an instance is made and when an
+ * importer asks for a copy of the state, at no other time.
  */
 #ifndef INSTANCE_H
 #define INSTANCE_H
@@ -29,7 +30,7 @@ typedef struct {
     Settable settable;
 } Variable;
 
-#include "axis.h"
+#include "model.h"
 
 typedef enum { MADE, INITIALIZING, RUNNING, EVENTS, CONTINUOUS, ENDED } Mode;
 
@@ -67,43 +68,15 @@ static int refuse(const Instance *me, const char *format, ...)
     return 0;
 }
 
+/* Defined by MOTION. */
+#if EXCHANGE
+static int settle_modes(State *s); /* modes as the values ask for; 1 where one changed */
+#endif
+static void refresh(State *s); /* bring up to date what follows from other values */
+static int move(Instance *me, double span); /* go on by a span under the inputs as they are */
+static int is_sound(const Instance *me, const State *s); /* whether a state from outside can be continued without harm */
+
 /* ---- values ---- */
-
-#if EXCHANGE
-/* Under an outside solver: modes as the values ask for, then rates and margins. */
-static int settle_modes(State *s)
-{
-    int changed = 0;
-    /* A body that comes to rest may hold the other: two bodies need a few rounds. */
-    for (int i = 0; i < 8; ++i) {
-        if (settle(s->slot + FIRST_STATE, s->slot + FIRST_PARAMETER, s->slot + FIRST_KNOWN, s->slot[COMMAND]) == 0.0)
-            break;
-        changed = 1;
-    }
-    return changed;
-}
-#endif
-
-/* What follows from other values: the state before the start, rates, and what the sensor reads. */
-static void refresh(State *s)
-{
-    double *x = s->slot + FIRST_STATE;
-    int before = s->mode == MADE || s->mode == INITIALIZING;
-    if (before) {
-        for (size_t i = 0; i < STATES; ++i) x[i] = 0.0;
-        x[POSITION] = s->slot[POSITION_START];
-        x[VELOCITY] = x[MOTOR_VELOCITY] = s->slot[VELOCITY_START];
-    }
-#if EXCHANGE
-    if (s->exchange) {
-        x[TIME] = s->now - s->begin;
-        if (before) settle_modes(s);
-        rates(x, s->slot + FIRST_PARAMETER, s->slot + FIRST_KNOWN, s->slot[COMMAND]);
-    }
-#endif
-    s->slot[MEASURED] = x[POSITION] + sensor(x[POSITION], s->slot + FIRST_PARAMETER);
-    s->stale = 0;
-}
 
 static int acceptable(const Instance *me, const Variable *v, double value)
 {
@@ -261,7 +234,7 @@ static Instance *make(const char *name, const char *token, const char *resources
     int good = 1;
     if (token == NULL || strcmp(token, TOKEN) != 0)
         good = refuse(me, "the model description belongs to another build: its GUID or token is not %s", TOKEN);
-    if (exchange && !EXCHANGE) good = refuse(me, "this axis is exported for co-simulation only");
+    if (exchange && !EXCHANGE) good = refuse(me, "this FMU is for co-simulation only");
     if (!good || !load_start_values(me, resources)) {
         free(me);
         return NULL;
@@ -302,77 +275,6 @@ static int end(Instance *me)
 
 /* ---- communication steps ---- */
 
-static int move_pieces(Instance *me, double command, double span)
-{
-    double *slot = me->state.slot;
-    double pieces = floor(span / LONGEST_STEP + ROUND);
-    if (pieces < 1.0) pieces = 1.0;
-    if (pieces > 1e9) return refuse(me, "a step of %.9g s is too long: give shorter ones", span);
-    double h = span / pieces;
-    for (long i = 0, n = (long)pieces; i < n; ++i)
-        step(slot + FIRST_STATE, slot + FIRST_PARAMETER, slot + FIRST_KNOWN, command, h);
-    return 1;
-}
-
-#if DELAY_CAPACITY
-/* Commands on their way, oldest first, and the moments at which they were given. */
-static void leave_line(double *slot, size_t i)
-{
-    size_t behind = (size_t)slot[DELAY_COUNT] - i - 1;
-    memmove(slot + DELAY_TIME + i, slot + DELAY_TIME + i + 1, behind * sizeof *slot);
-    memmove(slot + DELAY_VALUE + i, slot + DELAY_VALUE + i + 1, behind * sizeof *slot);
-    slot[DELAY_COUNT] -= 1.0;
-}
-
-/* Join the two neighbours that together lasted shortest, to their mean over that time. */
-static void make_room(double *slot, double now)
-{
-    double *time = slot + DELAY_TIME, *value = slot + DELAY_VALUE;
-    size_t best = 0;
-    double shortest = HUGE_VAL;
-    for (size_t i = 0; i + 1 < DELAY_CAPACITY; ++i) {
-        double lasted = (i + 2 < DELAY_CAPACITY ? time[i + 2] : now) - time[i];
-        if (lasted < shortest) {
-            shortest = lasted;
-            best = i;
-        }
-    }
-    double share = shortest > 0.0 ? (time[best + 1] - time[best]) / shortest : 0.0;
-    value[best] = share * value[best] + (1.0 - share) * value[best + 1];
-    double joined_time = time[best], joined_value = value[best];
-    leave_line(slot, best);
-    time[best] = joined_time;
-    value[best] = joined_value;
-}
-
-static int move(Instance *me, double span)
-{
-    double *slot = me->state.slot, delay = slot[DELAY];
-    double now = slot[FIRST_STATE + TIME], end = now + span;
-    double slack = (1.0 - ROUND) * LONGEST_STEP; /* no pieces that exist by rounding only */
-    if (slot[DELAY_COUNT] >= DELAY_CAPACITY) make_room(slot, now);
-    slot[DELAY_TIME + (size_t)slot[DELAY_COUNT]] = now;
-    slot[DELAY_VALUE + (size_t)slot[DELAY_COUNT]] = slot[COMMAND];
-    slot[DELAY_COUNT] += 1.0;
-    while (now < end) {
-        while (slot[DELAY_COUNT] > 0.0 && slot[DELAY_TIME] + delay <= now + slack) {
-            slot[ACTING] = slot[DELAY_VALUE];
-            leave_line(slot, 0);
-        }
-        double until = end;
-        if (slot[DELAY_COUNT] > 0.0 && slot[DELAY_TIME] + delay < end - slack) until = slot[DELAY_TIME] + delay;
-        if (!move_pieces(me, slot[ACTING], until - now)) return 0;
-        now = until;
-    }
-    return 1;
-}
-#else
-static int move(Instance *me, double span)
-{
-    return move_pieces(me, me->state.slot[COMMAND], span);
-}
-#endif
-
 static int communicate(Instance *me, double from, double span)
 {
     State *s = &me->state;
@@ -390,7 +292,7 @@ static int communicate(Instance *me, double from, double span)
     refresh(s);
     for (size_t i = 0; i < STATES; ++i)
         if (!isfinite(s->slot[FIRST_STATE + i]))
-            return refuse(me, "the motion is no longer finite at %.9g s: check the parameters", s->now);
+            return refuse(me, "the result is no longer finite at %.9g s: check the parameters", s->now);
     return 1;
 }
 
@@ -480,15 +382,6 @@ static int serialize(const Instance *me, const void *saved, void *bytes, size_t 
     return 1;
 }
 
-/* Whether a state from outside can be continued without harm. */
-static int is_sound(const State *s)
-{
-#if DELAY_CAPACITY
-    if (!(s->slot[DELAY_COUNT] >= 0.0 && s->slot[DELAY_COUNT] <= DELAY_CAPACITY)) return 0;
-#endif
-    return (int)s->mode >= MADE && (int)s->mode <= ENDED && (!s->exchange || EXCHANGE);
-}
-
 static int deserialize(const Instance *me, const void *bytes, size_t size, void **saved)
 {
     if (size < SERIALIZED || memcmp(bytes, TOKEN, sizeof TOKEN) != 0)
@@ -497,12 +390,14 @@ static int deserialize(const Instance *me, const void *bytes, size_t size, void 
     if (*saved == NULL) return refuse(me, "there is no memory for a saved state");
     State *s = *saved;
     memcpy(s, (const char *)bytes + sizeof TOKEN, sizeof(State));
-    if (!is_sound(s)) {
+    if (!is_sound(me, s) || (int)s->mode < MADE || (int)s->mode > ENDED || (s->exchange && !EXCHANGE)) {
         free(s);
         *saved = NULL;
         return refuse(me, "these bytes are not a saved state of this model");
     }
     return 1;
 }
+
+#include MOTION
 
 #endif

@@ -21,8 +21,9 @@ _OPERATORS = {
     ast.And: "&&",
     ast.Or: "||",
 }
-_FUNCTIONS = {"abs": "fabs", "min": "fmin", "max": "fmax"}
-_ARRAYS = {"x": "double *x", "p": "const double *p", "k": "const double *k"}
+_FUNCTIONS = {"abs": "fabs", "min": "fmin", "max": "fmax", "int": "trunc"}
+#: Names that are arrays in the texts: states, memory and queue are written to, parameters and settings are read.
+_ARRAYS = {n: f"double *{n}" for n in ("x", "y", "m", "q")} | {n: f"const double *{n}" for n in ("p", "g", "k")}
 
 
 def _expression(node: ast.expr) -> str:
@@ -31,8 +32,10 @@ def _expression(node: ast.expr) -> str:
             return repr(value)
         case ast.Name(name):
             return name
+        case ast.Subscript(ast.Name(name), ast.Constant(int(index))):
+            return f"{name}[{index}]"
         case ast.Subscript(ast.Name(name), index):
-            return f"{name}[{_expression(index)}]"
+            return f"{name}[(size_t){_expression(index)}]"
         case ast.UnaryOp(ast.USub(), operand):
             return f"(-{_expression(operand)})"
         case ast.BinOp(left, ast.Pow(), ast.Constant(2)):
@@ -57,6 +60,8 @@ def _statement(node: ast.stmt, indent: str) -> list[str]:
     match node:
         case ast.Assign([target], value):
             return [f"{indent}{_expression(target)} = {_expression(value)};"]
+        case ast.Expr(value):
+            return [f"{indent}{_expression(value)};"]
         case ast.Return(value) if value is not None:
             return [f"{indent}return {_expression(value)};"]
         case ast.Break():
@@ -86,7 +91,12 @@ def _function(function: ast.FunctionDef) -> str:
         for n in ast.walk(function)
         if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store) and n.id not in {*arguments, *counters}
     }
-    formals = ", ".join(_ARRAYS.get(a, f"double {a}") for a in arguments)
+    stored = {
+        n.value.id
+        for n in ast.walk(function)
+        if isinstance(n, ast.Subscript) and isinstance(n.ctx, ast.Store) and isinstance(n.value, ast.Name)
+    }
+    formals = ", ".join(f"double *{a}" if a in stored else _ARRAYS.get(a, f"double {a}") for a in arguments)
     lines = [f"static double {function.name}({formals})", "{"]
     if local:
         lines.append(f"    double {', '.join(sorted(local))};")
@@ -96,11 +106,15 @@ def _function(function: ast.FunctionDef) -> str:
     return "\n".join([*lines, *_block(function.body, "    "), "}"])
 
 
+def functions(tree: ast.Module, *roots: str) -> str:
+    """C text of a module's functions: the named ones and what is called. C99, needs math.h and stddef.h."""
+    found = [f for f in tree.body if isinstance(f, ast.FunctionDef)]
+    called = {n.id for f in found for n in ast.walk(f) if isinstance(n, ast.Name)} | set(roots)
+    return "\n\n".join(_function(f) for f in found if f.name in called) + "\n"
+
+
 def write(structure: Structure) -> str:
     """C text for one structure: `static double step(double *x, const double *p, const double *k, double command,
     double h)`, `sensor(position, p)` and what they call. C99, needs only math.h, no state of its own.
     """
-    functions = [f for f in module(structure).body if isinstance(f, ast.FunctionDef)]
-    called = {n.id for f in functions for n in ast.walk(f) if isinstance(n, ast.Name)} | {"step", "sensor"}
-    functions = [f for f in functions if f.name in called]
-    return "#include <math.h>\n\n" + "\n\n".join(_function(f) for f in functions) + "\n"
+    return "#include <math.h>\n\n" + functions(module(structure), "step", "sensor")
