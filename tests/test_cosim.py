@@ -11,15 +11,12 @@ import numpy as np
 import pytest
 from test_control import axis
 
-from twin.archive import open_fmu
 from twin.control import design
-from twin.controller_fmu import export_controller
 from twin.cosim import find_limit_cycle, make_reference, run, simulate, to_json
 from twin.errors import BadInput
 from twin.package import export
 from twin.reference import read_reference
 from twin.robust import draw, robustness, trial
-from twin.running import running
 
 HARD = {"gravity_gain": 3.0, "coulomb_friction": 1.0, "delay": 0.005, "lag_time": 0.01}
 EFFECTS = ("gravity", "coulomb_friction", "input_delay", "motor_lag")
@@ -72,41 +69,6 @@ def test_fmu_and_model_and_compiled_kernel_give_the_same_loop(tmp_path: Path) ->
     compiled, _ = trial(model, made, reference)
     np.testing.assert_allclose(in_fmpy.position, in_process.position, atol=1e-9)
     np.testing.assert_allclose(compiled, in_process.position, atol=1e-9)
-
-
-def test_controller_fmu_beside_the_plant_fmu_gives_the_same_loop(tmp_path: Path) -> None:
-    model = axis(*EFFECTS, **HARD)
-    made = design(model)
-    reference = make_reference("minimum-jerk", made, duration=4.0)
-    expected = simulate(model, made, reference)
-    plant, ruler = export(model, tmp_path / "axis.fmu"), export_controller(made, tmp_path / "controller.fmu")
-    inputs = ["reference", "reference_velocity", "reference_acceleration", "position_measured"]
-    position = []
-    with (
-        running(open_fmu(ruler), inputs, ["duty"]) as left,
-        running(open_fmu(plant), ["duty"], ["position", "position_measured"]) as right,
-    ):
-        left.start({})
-        right.start({})
-        columns = (reference.time, reference.position, reference.velocity, reference.acceleration)
-        for time, *wanted in zip(*(c.tolist() for c in columns), strict=True):
-            (place, measured), (command,) = right.read(), left.read()
-            position.append(place)
-            # Half steps of the controller change nothing: it keeps its own ticks.
-            left.step(time, 0.5 * made.sample_time, [*wanted, measured])
-            left.step(time + 0.5 * made.sample_time, 0.5 * made.sample_time, [*wanted, measured])
-            right.step(time, made.sample_time, [command])
-    np.testing.assert_allclose(position, expected.position, atol=1e-9)
-
-
-def test_controller_fmu_is_valid_and_refuses_to_be_overwritten(tmp_path: Path) -> None:
-    from fmpy.validation import validate_fmu
-
-    made = design(axis(), 2.0)
-    fmu = export_controller(made, tmp_path / "controller.fmu")
-    assert validate_fmu(str(fmu)) == []
-    with pytest.raises(BadInput, match="already"):
-        export_controller(made, fmu)
 
 
 @pytest.mark.parametrize("gap", [0.005, 0.02])

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from twin.errors import BadInput
 
 if TYPE_CHECKING:
+    from twin.controller import Controller
     from twin.model import Model
     from twin.recording import Recording, Rig
 
@@ -215,44 +216,65 @@ def _identify(args: argparse.Namespace) -> int:
 
 def _export(args: argparse.Namespace) -> int:
     _check_outputs(args, args.out, args.ssv, args.ssp, args.modelica)
-    from twin import controller, controller_fmu, model, native, package, ssp
+    from twin import controller, model, ssp, tomlfile
     from twin.files import put
     from twin.writers import modelica
 
     if args.controller is not None and args.ssp is None:
-        raise BadInput("--controller goes into a system: add --ssp FILE")
-
-    found = model.read(args.model)
-    if args.target == "native":
-        with _progress(args) as tell:
-            tell("compiling the FMU", 0.0)
-            native.export_native(found, args.out, args.fmi, args.force)
-    elif args.fmi == 3:
+        raise BadInput("--controller goes into a system: add --ssp FILE, or export the CONTROLLER.toml by itself")
+    if args.target == "python" and args.fmi == 3:
         raise BadInput("--target python writes FMI 2 only, through pythonfmu: add --target native for FMI 3")
-    else:
-        package.export(found, args.out, args.force)
+    text = tomlfile.load(args.model, "model", "MODEL.toml", "twin identify")
+    answer = {"format": "twin-export/1", "fmu": str(args.out), "target": args.target, "fmi": args.fmi}
+    if tomlfile.format_of(text) == controller.FORMAT:
+        for option in ("ssv", "ssp", "modelica"):
+            if getattr(args, option) is not None:
+                raise BadInput(f"--{option} needs the MODEL.toml of the axis, {args.model} is a controller")
+        made = controller.loads(text, str(args.model))
+        _export_controller(args, made, args.out)
+        _answer(args, [f"{args.out}: FMI {args.fmi} co-simulation ({args.target}) of the {made!r}."], answer)
+        return 0
+    found = model.loads(text, str(args.model))
+    designed = None if args.controller is None else controller.read(args.controller)
+    _export_axis(args, found)
     said = [f"{args.out}: FMI {args.fmi} co-simulation ({args.target}) of {found.structure}."]
     if args.ssv is not None:
         ssp.write_ssv(found, args.ssv, args.force)
         said.append(f"{args.ssv}: the parameters as an SSP set.")
     if args.ssp is not None:
-        if args.controller is None:
-            ssp.write_ssp(args.ssp, args.out, None, found, args.force)
-        else:
-            with tempfile.TemporaryDirectory() as folder:
-                designed = controller.read(args.controller)
-                packed = controller_fmu.export_controller(designed, Path(folder) / "controller.fmu")
-                ssp.write_ssp(args.ssp, args.out, packed, found, args.force)
+        with tempfile.TemporaryDirectory() as folder:
+            packed = None if designed is None else Path(folder) / "controller.fmu"
+            if designed is not None and packed is not None:
+                _export_controller(args, designed, packed)
+            ssp.write_ssp(args.ssp, args.out, packed, found, args.force)
         said.append(f"{args.ssp}: the system with its parameters.")
     if args.modelica is not None:
         put(args.modelica, modelica.write(found))
         said.append(f"{args.modelica}: the same equations in Modelica.")
-    _answer(
-        args,
-        said,
-        {"format": "twin-export/1", "fmu": str(args.out), "target": args.target, "fmi": args.fmi},
-    )
+    _answer(args, said, answer)
     return 0
+
+
+def _export_axis(args: argparse.Namespace, found: Model) -> None:
+    from twin import native, package
+
+    if args.target == "native":
+        with _progress(args) as tell:
+            tell("compiling the FMU", 0.0)
+            native.export_native(found, args.out, args.fmi, args.force)
+    else:
+        package.export(found, args.out, args.force)
+
+
+def _export_controller(args: argparse.Namespace, made: Controller, out: Path) -> None:
+    from twin import controller_fmu
+
+    if args.target == "native":
+        with _progress(args) as tell:
+            tell("compiling the controller", 0.0)
+            controller_fmu.export_native(made, out, args.fmi, args.force)
+    else:
+        controller_fmu.export_controller(made, out, args.force)
 
 
 def _update(args: argparse.Namespace) -> int:
@@ -488,8 +510,8 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
         help="joint: maximum likelihood on everything (default); two-stage: steady states, then transients",
     )  # fmt: skip
 
-    export = add("export", _export, "the model as an FMU")
-    export.add_argument("model", type=Path, metavar="MODEL.toml")
+    export = add("export", _export, "a model, or a controller, as an FMU")
+    export.add_argument("model", type=Path, metavar="MODEL.toml", help="a model, or a CONTROLLER.toml")
     _add_out(export, "ARM.fmu")
     export.add_argument(
         "--target", choices=("python", "native"), default="python",
@@ -499,7 +521,7 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     export.add_argument("--ssv", type=Path, metavar="FILE", help="also write the parameters as an SSP parameter set")
     export.add_argument("--ssp", type=Path, metavar="FILE", help="also pack FMU and parameters as an SSP system")
     export.add_argument(
-        "--controller", type=Path, metavar="CONTROLLER.toml", help="goes into the --ssp system, as an FMU"
+        "--controller", type=Path, metavar="CONTROLLER.toml", help="goes into --ssp, as an FMU of the same kind"
     )
     export.add_argument("--modelica", type=Path, metavar="FILE", help="also write the model as a Modelica package")
 

@@ -146,14 +146,18 @@ def _header(controller: Controller, token: str) -> str:
     return native.header_text(constants, [native.row(v, slots[v.name]) for v in shown], starts, text)
 
 
-def export_native(controller: Controller, out: Path, fmi: int = 2, force: bool = False) -> Path:
-    """Write the controller as a native FMU of FMI 2 or 3 and return its path. Raises BadInput."""
+def compilable(controller: Controller) -> native.Export:
+    """The controller, ready to be compiled."""
     shown, queue = variables(controller), _sizes(controller)[-1]
     settled = repr([controller.settings[name] for name in FIXED])
     digest = native.digest_of(sampled.write_c(controller.structure, queue) + settled, shown, "controller.h")
     who = _identity(controller, digest[:8], native.token_of(digest))
     header, resources = _header(controller, who.token), _resources(controller)
-    made = native.Export(
+    return native.Export(
         who, shown, description.NO_SOLVER, header, "controller.h", resources, controller.structure
     )  # fmt: skip
-    return native.write(made, out, fmi, force)
+
+
+def export_native(controller: Controller, out: Path, fmi: int = 2, force: bool = False) -> Path:
+    """Write the controller as a native FMU of FMI 2 or 3 and return its path. Raises BadInput."""
+    return native.write(compilable(controller), out, fmi, force)

@@ -46,6 +46,14 @@ def load(path: Path, kind: str, usual: str, maker: str) -> str:
         raise BadInput(f"{path} cannot be read ({error.strerror}): check its permissions") from None
 
 
+def format_of(content: str) -> str:
+    """What a text says of its format; empty where it says nothing or is not TOML."""
+    try:
+        return str(tomllib.loads(content).get("format", ""))
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return ""
+
+
 def parse(content: str, where: str, wanted: str, advice: str) -> dict[str, Any]:
     """The document, whose `format` must be the wanted one. Raises BadInput, which ends in the advice."""
     try:

@@ -1,4 +1,4 @@
-/* Calls an exported axis as no importer should, to be built with sanitizers together with its sources.
+/* Calls an exported axis or controller as no importer should, to be built with sanitizers together with its sources.
  *
  * abuse RESOURCES: prints the position after each phase; exits 1 where something was accepted that must not be.
  */
@@ -228,6 +228,10 @@ int main(int argc, char **argv)
             kept.now = 0.0;
 #if DELAY_CAPACITY
             kept.slot[DELAY_COUNT] = DELAY_CAPACITY - trial % 3;
+#endif
+#ifdef CONTROLLER_H
+            for (size_t i = 0; i < sizeof fixed / sizeof *fixed; ++i) kept.slot[fixed[i]] = compiled_in[fixed[i]];
+            kept.slot[FIRST_STATE + ELAPSED] = kept.slot[FIRST_STATE + TICK] = 0.0;
 #endif
             memcpy(bytes + sizeof TOKEN, &kept, sizeof kept);
         }
