@@ -8,7 +8,7 @@ import numpy as np
 
 from twin import kernel
 from twin.axis import EVERYTHING, Structure
-from twin.model import Model, known_values
+from twin.model import Model
 
 VALUES = {
     "input_gain": 1.2,
@@ -68,7 +68,7 @@ def by_kernel(model: Model, u: np.ndarray, position: float, velocity: float) -> 
     """Position, velocity, reading and hidden states (N, 7) from a free run of the compiled kernel."""
     count = len(u)
     drive = kernel.Drive(
-        np.arange(count) * PERIOD, u, np.full(count, math.nan), False, np.array(known_values(model)),
+        np.arange(count) * PERIOD, u, np.full(count, math.nan), False, kernel.known_vector(model.known),
         np.zeros(4), model.longest_step,
     )  # fmt: skip
     p = kernel.vector(model.structure, dict(model.values))

@@ -61,7 +61,7 @@ def test_parameter_set_is_valid_and_complete(tmp_path: Path) -> None:
     assert out.read_bytes() == write_ssv(MODEL, tmp_path / "again.ssv").read_bytes()
     units = {u.get("name") for u in ET.parse(out).iter() if u.tag.endswith("}Unit")}
     assert {unit for _, unit in read.values()} <= units
-    with pytest.raises(BadInput, match="exists already"):
+    with pytest.raises(BadInput, match="is there already"):
         write_ssv(MODEL, out)
     assert write_ssv(model_of(RIGID, offset=0.0), out, force=True).read_text() != (tmp_path / "again.ssv").read_text()
     assert len(list(tmp_path.iterdir())) == 2

@@ -15,10 +15,10 @@ import control
 import numpy as np
 
 from twin import linear
-from twin.axis import KNOWN, Structure
+from twin.axis import Structure
 from twin.controller import Controller, LimitCycle
 from twin.errors import BadInput
-from twin.model import Model, known_values
+from twin.model import Model
 
 FAST = 4.0  # observer over loop
 SLOW = 0.5  # integral action over loop
@@ -78,7 +78,7 @@ def _holding(model: Model) -> float:
     structure = _cancelled(model)
     law = linear.functions(structure)
     p = [model.values.get(q.name, 0.0) for q in structure.parameters]
-    moment = known_values(model)[list(KNOWN).index("moment")]
+    moment = float(model.known.get("moment", 0.0))
     worst = 0.0
     for place in np.linspace(-math.pi, math.pi, 25):
         for side in (1.0, -1.0):

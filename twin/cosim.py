@@ -22,9 +22,9 @@ from twin.axis import STATES
 from twin.controller import Controller, LimitCycle
 from twin.effects.catalogue import EFFECTS
 from twin.errors import BadInput
-from twin.kernel import start_state
+from twin.kernel import known_vector, start_state
 from twin.linear import laws
-from twin.model import Model, known_values
+from twin.model import Model
 from twin.reference import Reference, check, make_reference
 from twin.running import Running, running
 from twin.writers import python
@@ -69,7 +69,7 @@ class ModelPlant:
         self._step, self._sensor = names["step"], names["sensor"]
         self._x = start_state(position, 0.0, 0.0).tolist()
         self._p = [float(model.values[p.name]) for p in model.structure.parameters]
-        self._k, self._longest = known_values(model), model.longest_step
+        self._k, self._longest = known_vector(model.known).tolist(), model.longest_step
         self._delay = float(model.values.get("delay", 0.0))
         self._sent: list[tuple[float, float]] = [(-1e9, 0.0)]
 

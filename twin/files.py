@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
 import tempfile
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -49,6 +51,19 @@ def put(out: Path, content: str | bytes) -> None:
             raise
     except OSError as error:
         raise BadInput(f"{out} cannot be written ({error.strerror}): choose another place with --out") from None
+
+
+def zipped(files: Mapping[str, bytes]) -> bytes:
+    """A zip archive in that order; the same files give the same bytes. What lies in `binaries` may be executed."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            entry = zipfile.ZipInfo(name)
+            entry.create_system = 3
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = (0o100755 if name.startswith("binaries/") else 0o100644) << 16
+            archive.writestr(entry, content)
+    return out.getvalue()
 
 
 def plain(value: Any) -> Any:

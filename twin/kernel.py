@@ -15,11 +15,11 @@ import re
 import sys
 import tempfile
 import textwrap
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numba
 import numpy as np
@@ -233,6 +233,6 @@ def kalman(
     return gains, spread
 
 
-def known_vector(known: dict[str, float] | Any) -> FloatArray:
+def known_vector(known: Mapping[str, float]) -> FloatArray:
     """The recording's known quantities in the kernel's order; absent ones are zero."""
     return np.array([float(known.get(name, 0.0)) for name in KNOWN])

@@ -146,13 +146,6 @@ def shapes(missing: Missing) -> list[Shape]:
     return sorted((shape(missing, v) for v in VARIABLES), key=lambda s: -s.share)
 
 
-def depends_on(missing: Missing, least: float = 0.15) -> list[str]:
-    """The variables that predict the missing torque; those that say much less than the best are left out."""
-    found = shapes(missing)
-    best = found[0].share
-    return [s.variable for s in found if s.share >= least and s.share >= 0.6 * best][:2]
-
-
 def segments(missing: Missing, window: float = 0.5, most: int = 8) -> list[Segment]:
     """The stretches that hold most of the misfit, in order of time."""
     ok = np.isfinite(missing.torque)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.axis import KNOWN, Structure
+from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.errors import BadInput
 from twin.quantities import Parameter
@@ -206,8 +206,3 @@ def _covariance(
 def read(path: Path) -> Model:
     """Read MODEL.toml. Raises BadInput."""
     return loads(load(path, "model", "MODEL.toml", "twin identify"), str(path))
-
-
-def known_values(model: Model) -> list[float]:
-    """The known quantities in the stepper's order."""
-    return [float(model.known.get(name, 0.0)) for name in KNOWN]

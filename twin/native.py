@@ -17,7 +17,6 @@ import struct
 import subprocess
 import sys
 import tempfile
-import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,6 +25,7 @@ from twin import description
 from twin.axis import KNOWN, STATES, Structure
 from twin.description import NO_SOLVER, Derivative, Identity, Margin, Solver
 from twin.errors import BadInput
+from twin.files import check_free, put, zipped
 from twin.model import Model, dumps
 from twin.variables import ROUND, STATE_NAMES, Variable, delay_capacity, parameters_text, variables
 from twin.writers import c, exchange
@@ -338,36 +338,6 @@ def _page(made: Export) -> str:
     )
 
 
-def write_archive(files: Mapping[str, bytes], out: Path) -> None:
-    """Write a zip archive, whole or not at all; the same files give the same bytes."""
-    with tempfile.NamedTemporaryFile(dir=out.parent, prefix=f".{out.name}.", delete=False) as half:
-        try:
-            with zipfile.ZipFile(half, "w", zipfile.ZIP_DEFLATED) as archive:
-                for name, content in files.items():
-                    entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
-                    entry.compress_type = zipfile.ZIP_DEFLATED
-                    library = name.startswith("binaries/")
-                    entry.external_attr = (0o100755 if library else 0o100644) << 16
-                    archive.writestr(entry, content)
-            half.close()
-            Path(half.name).chmod(0o644)
-            Path(half.name).replace(out)
-        except BaseException:
-            half.close()
-            Path(half.name).unlink(missing_ok=True)
-            raise
-
-
-def check_output(out: Path, force: bool) -> None:
-    """Refuse to overwrite, and to write where there is no folder. Raises BadInput."""
-    if not out.parent.is_dir():
-        raise BadInput(f"{out}: the folder {out.parent} does not exist: make it first")
-    if out.is_dir():
-        raise BadInput(f"{out} is a folder: give the name of a file")
-    if out.exists() and not force:
-        raise BadInput(f"{out} exists already: choose another name or pass --force")
-
-
 def export_native(model: Model, out: Path, fmi: int = 2, force: bool = False) -> Path:
     """Write the model as a native FMU of FMI 2 or 3 and return its path. Raises BadInput."""
     return write(of_axis(model), out, fmi, force)
@@ -377,7 +347,7 @@ def write(made: Export, out: Path, fmi: int, force: bool) -> Path:
     """Compile and pack for every platform that can be compiled for; the path. Raises BadInput."""
     if fmi not in (2, 3):
         raise BadInput(f"FMI version {fmi} is not offered: use 2 or 3")
-    check_output(out, force)
+    check_free(out, force)
     who = made.identity
     c_files = sources(made, fmi)
     with tempfile.TemporaryDirectory(prefix="twin-") as built:
@@ -394,5 +364,5 @@ def write(made: Export, out: Path, fmi: int, force: bool) -> Path:
     files |= {f"resources/{name}": content.encode() for name, content in made.resources.items()}
     files["documentation/index.html"] = _page(made).encode()
     files["documentation/licenses/LICENSE.txt"] = plumbing("LICENSE.txt").encode()
-    write_archive(files | binaries, out)
+    put(out, zipped(files | binaries))
     return out

@@ -29,8 +29,8 @@ from twin import sampled
 from twin.axis import EVERYTHING, STATES
 from twin.controller import Controller
 from twin.errors import BadInput
-from twin.kernel import cache_folder, start_state, vector
-from twin.model import Model, known_values
+from twin.kernel import cache_folder, known_vector, start_state, vector
+from twin.model import Model
 from twin.reference import Reference, check, make_reference
 from twin.writers.python import numbering, resolve
 
@@ -101,7 +101,7 @@ def trial(model: Model, controller: Controller, reference: Reference) -> tuple[F
         reference.acceleration,
         start_state(float(reference.position[0]), 0.0, 0.0),
         vector(model.structure, dict(model.values)),
-        np.array(known_values(model)),
+        known_vector(model.known),
         model.longest_step,
         np.zeros(states),
         np.zeros(states),

@@ -8,8 +8,8 @@ from pathlib import Path
 from twin.archive import Fmu, open_fmu
 from twin.description import text
 from twin.errors import BadInput
+from twin.files import check_free, put, zipped
 from twin.model import Model
-from twin.native import check_output, write_archive
 from twin.variables import base_unit, variables
 
 _ROOT = "http://ssp-standard.org/SSP1/SystemStructure"
@@ -54,11 +54,8 @@ def parameter_set(model: Model) -> bytes:
 
 def write_ssv(model: Model, out: Path, force: bool = False) -> Path:
     """Write the model's parameters as an SSP parameter set. Raises BadInput."""
-    check_output(out, force)
-    content = parameter_set(model)
-    half = out.with_name(f".{out.name}.part")
-    half.write_bytes(content)
-    half.replace(out)
+    check_free(out, force)
+    put(out, parameter_set(model))
     return out
 
 
@@ -117,7 +114,7 @@ def system(plant: Fmu, controller: Fmu | None, model: Model) -> bytes:
 
 def write_ssp(out: Path, plant_fmu: Path, controller_fmu: Path | None, model: Model, force: bool = False) -> Path:
     """Pack plant, controller and the model's parameters as one system. Raises BadInput."""
-    check_output(out, force)
+    check_free(out, force)
     plant = open_fmu(plant_fmu)
     controller = open_fmu(controller_fmu) if controller_fmu else None
     files = {
@@ -127,5 +124,5 @@ def write_ssp(out: Path, plant_fmu: Path, controller_fmu: Path | None, model: Mo
     }
     if controller_fmu:
         files[f"resources/{_CONTROLLER}.fmu"] = controller_fmu.read_bytes()
-    write_archive(files, out)
+    put(out, zipped(files))
     return out
