@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import manifests
 import real_recordings
 
-from twin import explain, extend, likelihood, pipeline, recording
+from twin import explain, extend, identify, likelihood, pipeline, recording
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES
 from twin.extend import Search
@@ -68,6 +68,18 @@ def test_held_and_rounded_readings_do_not_run_away_with_the_noise_density() -> N
     case = likelihood.prepare(one, structure)
     found = likelihood.best_density([case], structure, {"input_gain": 50.0, "viscous_friction": 5.0})
     assert found <= likelihood.density_of(case, 4.9 * likelihood.step_of(case))
+
+
+def test_one_sensor_has_one_noise_however_quick_the_motion() -> None:
+    time = np.arange(0.0, 4.0, 0.01)
+    count = 1.5e-3
+    runs = [np.round(swing * np.sin(20.0 * time) / count) * count for swing in (0.02, 2.0)]
+    recordings = [Recording("run", time, np.cos(time), y, "%", "rad", resolution=count) for y in runs]
+    structure = Structure.of(["inertia", "viscous_friction"])
+    alone = [likelihood.prepare(r, structure).reading_variance for r in recordings]
+    assert alone[1] > 10.0 * alone[0]
+    together = identify.prepare(recordings, structure)
+    assert [c.reading_variance for c in together] == pytest.approx([count**2 / 12.0] * 2, rel=0.5)
 
 
 def quick(name: str, candidates: Sequence[str] = CANDIDATES) -> Search:

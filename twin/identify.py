@@ -76,7 +76,12 @@ def coarse(
 
 
 def prepare(recordings: Sequence[Recording], structure: Structure) -> list[Case]:
-    return [likelihood.prepare(r, structure) for r in recordings]
+    """The recordings made ready. One sensor read them all: where a quick motion between few stamps makes its readings
+    look noisy, those of a slow one say how good they are.
+    """
+    cases = [likelihood.prepare(r, structure) for r in recordings]
+    least = min((c.reading_variance for c in cases), default=0.0)
+    return [replace(c, reading_variance=least) for c in cases]
 
 
 def _choose_contacts(cases: Sequence[Case], structure: Structure, values: Mapping[str, float]) -> list[Case]:
@@ -86,7 +91,7 @@ def _choose_contacts(cases: Sequence[Case], structure: Structure, values: Mappin
     chosen = []
     for case in cases:
         head = case.recording.part(0.0, min(3.0, float(case.recording.time[-1])))
-        trial = likelihood.prepare(head, structure)
+        trial = replace(likelihood.prepare(head, structure), reading_variance=case.reading_variance)
         density = likelihood.density_of(trial, MEMORY)
         scored = [
             (likelihood.evaluate([replace(trial, contact=s)], structure, values, density).deviance, s)
@@ -227,7 +232,7 @@ def to_model(cases: Sequence[Case], point: Point, recordings: Sequence[Recording
     """The point as a model, with standard errors and where it comes from."""
     covariance = likelihood.robust_covariance(with_steps(cases, point.structure), point)
     first = recordings[0]
-    variance = likelihood.prepare(first, point.structure).reading_variance * point.scale
+    variance = cases[0].reading_variance * point.scale
     known = {k: v for k, v in likelihood.known_quantities(first).items() if v}
     return Model(
         structure=point.structure,
