@@ -355,7 +355,7 @@ def diagnose(
     found = search(train, first, held, candidates, progress)
     lap("search")
     case = max(found.cases, key=lambda c: float(c.drive.time[-1]))
-    left = [unknown.leftover(case, p.structure, p.values) for p in (found.first, found.last)]
+    left = [unknown.leftover(found.cases, p.structure, p.values) for p in (found.first, found.last)]
     named = bool(set(found.last.structure.named) - set(first.named))
     verdict = unknown.verdict(named, left[0], left[1])
     if verdict == "unexplained":
