@@ -30,7 +30,7 @@ def tidy(archive: bytes, description: bytes) -> bytes:
     return out.getvalue()
 
 
-def pack(slave: str, identifier: str, resources: Mapping[str, str], description: bytes) -> bytes:
+def pack(slave: str, identifier: str, resources: Mapping[str, str | bytes], description: bytes) -> bytes:
     """The FMU, as bytes, of a slave's text, its resource files and modelDescription.xml.
 
     `identifier` names module and binaries. Raises RuntimeError with what the builder said.
@@ -38,8 +38,8 @@ def pack(slave: str, identifier: str, resources: Mapping[str, str], description:
     with tempfile.TemporaryDirectory(prefix="twin-pack-") as folder:
         sources = Path(folder) / "sources"
         sources.mkdir()
-        for name, text in {f"{identifier}.py": slave, **resources}.items():
-            (sources / name).write_text(text, encoding="utf-8", newline="\n")
+        for name, content in {f"{identifier}.py": slave, **resources}.items():
+            (sources / name).write_bytes(content.encode() if isinstance(content, str) else content)
         target = Path(folder) / f"{identifier}.fmu"
         command = [sys.executable, "-P", __file__, str(sources / f"{identifier}.py"), str(target)]
         done = subprocess.run(command, capture_output=True, text=True, cwd=folder)

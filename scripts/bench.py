@@ -1,7 +1,7 @@
-"""How fast: the compiled kernel against a C loop written by hand, and identification end to end.
+"""How fast: the kernel against a C loop written by hand, a step of the FMU, and the commands from end to end.
 
     python scripts/bench.py            # all of it
-    python scripts/bench.py kernel     # only the kernel
+    python scripts/bench.py kernel     # a part: kernel, fmu or commands
 """
 
 from __future__ import annotations
@@ -106,6 +106,8 @@ def bench_commands() -> None:
 
 
 if __name__ == "__main__":
-    bench_kernel()
-    if sys.argv[1:] != ["kernel"]:
-        bench_commands()
+    from fmu_cost import bench_fmu
+
+    parts = {"kernel": bench_kernel, "fmu": bench_fmu, "commands": bench_commands}
+    for part in sys.argv[1:] or parts:
+        parts[part]()

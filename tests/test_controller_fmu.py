@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from test_control import axis
 
-from twin import controller_fmu, native, package
+from twin import compilers, controller_fmu, native, package
 from twin.archive import open_fmu
 from twin.cli import main
 from twin.control import design
@@ -44,7 +44,7 @@ KINDS: dict[str, Callable[[Controller, Path], Path]] = {
 @pytest.fixture(autouse=True)
 def local_compiler(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
     if "every_platform" not in request.node.name:
-        monkeypatch.setattr(native, "_has_zig", lambda: False)
+        monkeypatch.setattr(compilers, "has_zig", lambda: False)
 
 
 @pytest.fixture(scope="module")
@@ -216,7 +216,7 @@ def test_it_is_compiled_for_every_platform(loop: tuple[Model, Controller, Refere
     made = loop[1]
     fmu = controller_fmu.export_native(made, tmp_path / "controller.fmu", fmi)
     folders = {name.split("/")[1] for name in zipfile.ZipFile(fmu).namelist() if name.startswith("binaries/")}
-    assert folders == {target.folders[fmi] for target in native.TARGETS}
+    assert folders == {target.folders[fmi] for target in compilers.TARGETS}
     with running(open_fmu(fmu), INPUTS, ["duty"]) as ruler:
         ruler.start({})
         wanted = [0.001, 0.0, 0.0]

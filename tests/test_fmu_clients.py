@@ -17,7 +17,7 @@ import pytest
 from fmpy.build import build_platform_binary
 from native_axis import PERIOD, RIGID, by_kernel, command, model_of
 
-from twin import native
+from twin import compilers
 from twin.native import export_native
 from twin.ssp import write_ssp
 
@@ -33,7 +33,7 @@ def needs(module: str) -> pytest.MarkDecorator:
 def fmus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[int, Path]]:
     folder = tmp_path_factory.mktemp("clients")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(native, "_has_zig", lambda: False)
+        patch.setattr(compilers, "has_zig", lambda: False)
         yield {fmi: export_native(model_of(RIGID), folder / f"axis{fmi}.fmu", fmi) for fmi in (2, 3)}
 
 

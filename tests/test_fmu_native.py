@@ -19,7 +19,7 @@ from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 from native_axis import NAMES, PERIOD, RIGID, by_kernel, command, model_of
 
-from twin import native
+from twin import compilers, native
 from twin.axis import EVERYTHING, Structure
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
@@ -103,7 +103,7 @@ def local(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[tuple[str, 
     folder = tmp_path_factory.mktemp("fmus")
     models = {"elastic": model_of(EVERYTHING), "rigid": model_of(RIGID)}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(native, "_has_zig", lambda: False)
+        patch.setattr(compilers, "has_zig", lambda: False)
         yield {
             (name, fmi): export_native(model, folder / f"{name}{fmi}.fmu", fmi)
             for name, model in models.items()
@@ -113,7 +113,7 @@ def local(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[tuple[str, 
 
 @pytest.fixture
 def no_zig(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(native, "_has_zig", lambda: False)
+    monkeypatch.setattr(compilers, "has_zig", lambda: False)
 
 
 def differ(a: np.ndarray, b: np.ndarray) -> float:
@@ -300,7 +300,7 @@ def test_no_overwriting_and_no_half_file(tmp_path: Path, monkeypatch: pytest.Mon
         export_native(model, out)
     with pytest.raises(BadInput, match="is not a folder"):
         export_native(model, tmp_path / "no" / "a.fmu")
-    monkeypatch.setattr(native, "_has_zig", lambda: False)
+    monkeypatch.setattr(compilers, "has_zig", lambda: False)
     monkeypatch.setattr(shutil, "which", lambda *_: None)
     monkeypatch.delenv("CC", raising=False)
     with pytest.raises(BadInput, match=r"pip install twin\[native\]"):

@@ -6,6 +6,7 @@ import ast
 import dataclasses
 import math
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -19,17 +20,19 @@ import pytest
 from native_axis import NAMES, PERIOD, RIGID, by_kernel, command, model_of
 
 from fmu_src import pack
-from twin import kernel, package
+from twin import compilers, kernel, package
 from twin.archive import open_fmu
 from twin.axis import EVERYTHING, Structure
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
+from twin.files import zipped
 from twin.model import Model
 from twin.recording import Recording
 from twin.running import Running, running
 from twin.variables import variables
 
 STRUCTURES = {"rigid": RIGID, "all": EVERYTHING}
+EACH = ["rigid", "all", "rigid, no compiler", "all, no compiler"]
 SIMPLE = Structure.of((*BASE, "gravity", "coulomb_friction"))
 
 
@@ -37,8 +40,13 @@ SIMPLE = Structure.of((*BASE, "gravity", "coulomb_friction"))
 def made(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("fmus")
     models = {name: model_of(structure) for name, structure in STRUCTURES.items()}
-    models["simple"] = model_of(SIMPLE)
-    return {name: package.export(model, folder / f"{name}.fmu") for name, model in models.items()}
+    fmus = {name: package.export(model, folder / f"{name}.fmu") for name, model in models.items()}
+    fmus["simple"] = package.export(model_of(SIMPLE), folder / "simple.fmu")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compilers, "for_linux", lambda *_: None)
+        for name, model in models.items():
+            fmus[f"{name}, no compiler"] = package.export(model, folder / f"{name}-plain.fmu")
+    return fmus
 
 
 def recording_of(model: Model, time: np.ndarray, u: np.ndarray, output: np.ndarray | None = None) -> Recording:
@@ -112,9 +120,9 @@ def test_the_model_is_inside(made):
 # ---- same numbers ----
 
 
-@pytest.mark.parametrize("name", ["rigid", "all"])
+@pytest.mark.parametrize("name", EACH)
 def test_same_numbers_as_the_kernel_over_twenty_seconds(made, name):
-    model = model_of(STRUCTURES[name])
+    model = model_of(STRUCTURES[name.split(",")[0]])
     u = command(int(20.0 / PERIOD))
     truth = by_kernel(model, u, 0.4, -0.2)
     stuck, loose = np.mean(truth[:, 1] == 0.0), np.mean(np.abs(truth[:, 3]) < 0.4999 * model.values["backlash_gap"])
@@ -124,9 +132,9 @@ def test_same_numbers_as_the_kernel_over_twenty_seconds(made, name):
         assert apart(drive(instance, u), truth) < 1e-10
 
 
-@pytest.mark.parametrize("name", ["rigid", "all"])
+@pytest.mark.parametrize("name", EACH)
 def test_any_pattern_of_steps(made, name):
-    model, held = model_of(STRUCTURES[name]), 4
+    model, held = model_of(STRUCTURES[name.split(",")[0]]), 4
     inner = [math.ceil(n * PERIOD / model.longest_step) for n in range(1, held + 1)]
     assert inner == [n * inner[0] for n in range(1, held + 1)], "the pattern must keep the internal steps"
     u = command(int(6.0 / PERIOD) // held * held + 1, held)
@@ -204,6 +212,34 @@ def test_parameters_act_between_steps_and_before_the_start(made):
     assert np.max(np.abs(before - truth[:, 2])) < 1e-10
     assert np.max(np.abs(then - after)) < 1e-10
     assert np.max(np.abs(then - by_kernel(first, u, 0.1, 0.0)[600:, 2])) > 1e-3
+
+
+@pytest.mark.skipif(sys.platform != "linux" or platform.machine() != "x86_64", reason="compiled for Linux x86_64 only")
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler is installed")
+def test_a_compiled_stepper_is_inside_and_python_where_it_does_not_load(made, tmp_path):
+    """On another machine the library is a file that cannot be loaded."""
+    inside, without = members(made["rigid"]), members(made["rigid, no compiler"])
+    (stepper,) = set(inside) - set(without)
+    assert all(inside[name] == without[name] for name in without)
+    elsewhere = tmp_path / "elsewhere.fmu"
+    elsewhere.write_bytes(zipped(inside | {stepper: b"\x7fELF\x02 made for another machine"}))
+    u = command(1000)
+    rows = []
+    for fmu, kind in ((made["rigid"], "ctypes"), (made["rigid, no compiler"], "list"), (elsewhere, "list")):
+        script = (
+            "import importlib, sys; sys.path.insert(0, sys.argv[1]); slave = importlib.import_module(sys.argv[2])\n"
+            "print(type(slave.Axis(instance_name='a', resources=sys.argv[1]).x))"
+        )
+        with zipfile.ZipFile(fmu) as archive:
+            archive.extractall(tmp_path / "x")
+        told = [str(tmp_path / "x" / "resources"), open_fmu(fmu).identifier]
+        done = subprocess.run([sys.executable, "-c", script, *told], capture_output=True, text=True, check=True)
+        assert (kind == "list") == ("'list'" in done.stdout), done.stdout
+        shutil.rmtree(tmp_path / "x")
+        with running(open_fmu(fmu), ["duty"], NAMES) as instance:
+            instance.start({"position_start": 0.4})
+            rows.append(drive(instance, u))
+    assert apart(rows[0], rows[1]) < 1e-12 and np.array_equal(rows[1], rows[2])
 
 
 # ---- saved states, resets, several at once ----

@@ -14,7 +14,7 @@ import pytest
 from fmpy.ssp.ssd import read_ssd, read_ssv
 from native_axis import RIGID, model_of
 
-from twin import native
+from twin import compilers
 from twin.axis import Structure
 from twin.errors import BadInput
 from twin.native import export_native
@@ -46,7 +46,7 @@ def parts(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A plant with other friction than the model's, and a controller."""
     folder = tmp_path_factory.mktemp("ssp")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(native, "_has_zig", lambda: False)
+        patch.setattr(compilers, "has_zig", lambda: False)
         plant = export_native(model_of(RIGID, coulomb_friction=3.0), folder / "plant.fmu", 2)
     (folder / "proportional.py").write_text(CONTROLLER)
     build = [sys.executable, "-m", "pythonfmu", "build", "-f", "proportional.py"]

@@ -10,12 +10,6 @@ import hashlib
 import html
 import importlib.util
 import math
-import os
-import platform
-import shutil
-import struct
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,6 +17,7 @@ from pathlib import Path
 
 from twin import description
 from twin.axis import KNOWN, STATES, Structure
+from twin.compilers import compilers, universal
 from twin.description import NO_SOLVER, Derivative, Identity, Margin, Solver
 from twin.errors import BadInput
 from twin.files import check_free, put, zipped
@@ -30,34 +25,12 @@ from twin.model import Model, dumps
 from twin.variables import ROUND, STATE_NAMES, Variable, delay_capacity, parameters_text, variables
 from twin.writers import c, exchange
 
-OPTIONS = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden")
 _NAMED_STATES = ("position", "velocity", "motor_velocity", "time")  # the plumbing starts these and shows them
 _SOURCES = {2: ("fmi2.c",), 3: ("fmi3.c",)}
 _HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
 }
-
-
-@dataclass(frozen=True)
-class Target:
-    """A platform: zig's name for it, FMI's names for its folder, and the ending of its libraries."""
-
-    zig: str
-    machine: str
-    system: str
-    folders: Mapping[int, str]
-    suffix: str
-
-
-#: glibc 2.17 is older than any distribution still in use, so the Linux binaries load on all of them.
-TARGETS: tuple[Target, ...] = (
-    Target("x86_64-linux-gnu.2.17", "x86_64", "Linux", {2: "linux64", 3: "x86_64-linux"}, ".so"),
-    Target("aarch64-linux-gnu.2.17", "aarch64", "Linux", {2: "aarch64-linux", 3: "aarch64-linux"}, ".so"),
-    Target("x86_64-windows-gnu", "x86_64", "Windows", {2: "win64", 3: "x86_64-windows"}, ".dll"),
-    Target("x86_64-macos", "x86_64", "Darwin", {2: "darwin64", 3: "x86_64-darwin"}, ".dylib"),
-    Target("aarch64-macos", "aarch64", "Darwin", {2: "darwin64", 3: "aarch64-darwin"}, ".dylib"),
-)
 
 
 @dataclass(frozen=True)
@@ -246,76 +219,16 @@ def sources(made: Export, fmi: int) -> dict[str, str]:
     return files | {"model.h": made.header}
 
 
-# ---- compilers ----
-
-
-def _has_zig() -> bool:
-    return importlib.util.find_spec("ziglang") is not None
-
-
-def _machine() -> str:
-    name = platform.machine().lower()
-    return {"amd64": "x86_64", "arm64": "aarch64"}.get(name, name)
-
-
-def _here() -> Target:
-    for target in TARGETS:
-        if (target.machine, target.system) == (_machine(), platform.system()):
-            return target
-    raise BadInput(
-        f"no FMI name is known for {platform.system()} on {_machine()}: "
-        "install `pip install twin[native]` and export for the platform of the importer"
-    )
-
-
-def _compile(command: list[str], fmi: int, folder: Path, library: Path, options: tuple[str, ...]) -> bytes:
-    named = [*command, *OPTIONS, *options, "-shared", "-o", str(library), *_SOURCES[fmi], "-lm"]
-    done = subprocess.run(named, cwd=folder, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        lines = done.stderr.strip().splitlines() or ["no message"]
-        reason = next((line for line in lines if "error" in line), lines[0])
-        compiler = "zig" if "ziglang" in command else command[0]
-        raise BadInput(f"the C compiler {compiler} failed ({reason}): can it build a shared library?")
-    return library.read_bytes()
-
-
-def universal(thin: Mapping[str, bytes]) -> bytes:
-    """One macOS library from one for each machine (Mach-O "fat" file; its header is big-endian)."""
-    kinds = {"x86_64": (0x01000007, 3), "aarch64": (0x0100000C, 0)}
-    page = 14  # 16 KiB, what arm64 asks for
-    offset, entries, body = 1 << page, b"", b""
-    for machine, library in thin.items():
-        entries += struct.pack(">5I", *kinds[machine], offset, len(library), page)
-        padding = -len(library) % (1 << page)
-        body += library + bytes(padding)
-        offset += len(library) + padding
-    head = struct.pack(">2I", 0xCAFEBABE, len(thin)) + entries
-    return head.ljust(1 << page, b"\0") + body
+# ---- binaries ----
 
 
 def _binaries(name: str, fmi: int, folder: Path) -> dict[str, bytes]:
     """Path in the archive -> library of this name, for every platform that can be compiled for."""
-    if not _has_zig():
-        compiler = os.environ.get("CC") or next(filter(shutil.which, ("cc", "gcc", "clang")), None)
-        if compiler is None:
-            raise BadInput(
-                "a native FMU needs a C compiler and none was found: "
-                "install one for all platforms with `pip install twin[native]`"
-            )
-        target = _here()
-        # Importers of FMI 2 look for any 64-bit Linux in linux64.
-        place = {("Linux", 2): "linux64"}.get((target.system, fmi), target.folders[fmi])
-        options = () if target.system == "Windows" else ("-fPIC",)
-        file = f"{name}{target.suffix}"
-        return {f"binaries/{place}/{file}": _compile(compiler.split(), fmi, folder, folder / file, options)}
     found: dict[str, dict[str, bytes]] = {}
-    for target in TARGETS:
-        library = folder / f"{target.machine}{target.system}" / f"{name}{target.suffix}"
-        library.parent.mkdir()
-        options = ("-target", target.zig, *(() if target.system == "Windows" else ("-fPIC",)), "-s")
-        content = _compile([sys.executable, "-m", "ziglang", "cc"], fmi, folder, library, options)
+    for compiler in compilers():
+        target = compiler.target
         path = f"binaries/{target.folders[fmi]}/{name}{target.suffix}"
-        found.setdefault(path, {})[target.machine] = content
+        found.setdefault(path, {})[target.machine] = compiler.library(_SOURCES[fmi], folder, name)
     return {path: next(iter(thin.values())) if len(thin) == 1 else universal(thin) for path, thin in found.items()}
 
 

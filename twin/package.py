@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu_src import pack
-from twin import description
+from twin import compilers, description
 from twin.archive import Fmu, open_fmu
 from twin.axis import KNOWN
 from twin.errors import BadInput
@@ -28,7 +28,7 @@ from twin.model import Model, dumps, loads
 from twin.recording import Recording
 from twin.running import running
 from twin.variables import OUTPUTS, ROUND, delay_capacity, parameters_text, variables
-from twin.writers import python
+from twin.writers import c, python
 
 FloatArray = NDArray[np.float64]
 
@@ -59,7 +59,8 @@ def identity(model: Model) -> description.Identity:
     """Names hashed from all that the FMU is, numbers apart: an update must not change them."""
     listed = [asdict(v) | {"start": None} for v in variables(model)]
     said = [interface(model), listed, model.sample_time, importlib.metadata.version("pythonfmu")]
-    digest = hashlib.sha256((json.dumps(said) + slave_text(model)).encode()).hexdigest()
+    text = json.dumps(said) + slave_text(model) + c.library(model.structure)
+    digest = hashlib.sha256(text.encode()).hexdigest()
     return description.of_axis(model, f"axis_{digest[:12]}", f"{{{uuid.UUID(digest[:32])}}}")
 
 
@@ -70,15 +71,21 @@ def described(model: Model) -> bytes:
 
 
 def export(model: Model, out: Path, force: bool = False) -> Path:
-    """Write the model's FMU (FMI 2.0 co-simulation, through pythonfmu). Raises BadInput."""
+    """Write the model's FMU (FMI 2.0 co-simulation, through pythonfmu). Raises BadInput.
+
+    Where a C compiler is at hand, the stepper is inside compiled as well, for Linux x86_64: a step that costs tens of
+    microseconds in Python then costs one. Where that does not load, the same text runs in Python.
+    """
     check_free(out, force)
-    resources = {
+    resources: dict[str, str | bytes] = {
         "interface.json": json.dumps(interface(model), indent=1) + "\n",
         "parameters.txt": parameters_text(model),
         "model.toml": dumps(model),
     }
-    packed = pack.pack(slave_text(model), identity(model).identifier, resources, described(model))
-    put(out, packed)
+    who = identity(model).identifier
+    if (library := compilers.for_linux(c.library(model.structure), stepper := f"{who}_stepper")) is not None:
+        resources[f"{stepper}.so"] = library
+    put(out, pack.pack(slave_text(model), who, resources, described(model)))
     return out
 
 

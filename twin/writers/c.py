@@ -113,6 +113,19 @@ def functions(tree: ast.Module, *roots: str) -> str:
     return "\n\n".join(_function(f) for f in found if f.name in called) + "\n"
 
 
+def library(structure: Structure) -> str:
+    """C text of a library that moves an axis by `count` internal steps of h: its one function is `advance`."""
+    return f"""{functions(module(structure), "step")}
+#if defined __GNUC__
+__attribute__((visibility("default")))
+#endif
+void advance(double *x, const double *p, const double *k, double command, double h, long count)
+{{
+    for (long i = 0; i < count; ++i) step(x, p, k, command, h);
+}}
+"""
+
+
 def write(structure: Structure) -> str:
     """C text for one structure: `static double step(double *x, const double *p, const double *k, double command,
     double h)`, `sensor(position, p)` and what they call. C99, needs only math.h, no state of its own.
