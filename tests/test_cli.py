@@ -299,6 +299,9 @@ def test_cosim_writes_its_run(capsys, bench):
 def test_two_stage_says_what_it_lacks(capsys, bench):
     said = refused(capsys, bench, "identify", "good.csv", "--method", "two-stage", "--out", "new.toml")
     assert "two-stage" in said and "joint" in said
+    more = ["--method", "two-stage", "--horizon", "5", "--out", "new.toml"]
+    assert "--horizon goes with --method joint" in refused(capsys, bench, "identify", "good.csv", *more)
+    assert "horizon is 0 s" in refused(capsys, bench, "identify", "good.csv", "--horizon", "0", "--out", "new.toml")
 
 
 # ---- diagnose and run, with the search itself left out ----

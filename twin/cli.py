@@ -192,7 +192,7 @@ def _identify(args: argparse.Namespace) -> int:
         tell("reading the recording", 0.0)
         recordings, rig = _load(args)
         structure = pipeline.first_structure(rig, args.more, args.fewer)
-        found = pipeline.estimate(recordings, structure, args.method, tell)
+        found = pipeline.estimate(recordings, structure, args.method, tell, args.horizon)
     files.put(args.out, model.dumps(found))
     said = [
         *_assumptions(rig),
@@ -205,6 +205,7 @@ def _identify(args: argparse.Namespace) -> int:
         "format": "twin-identify/1",
         "model": str(args.out),
         "method": args.method,
+        "horizon": args.horizon,
         "effects": list(found.structure.ids),
         "parameters": _parameters(found),
         "recording_faults": [vars(f) for r in recordings for f in r.faults],
@@ -508,6 +509,10 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     identify.add_argument(
         "--method", choices=("joint", "two-stage"), default="joint",
         help="joint: maximum likelihood on everything (default); two-stage: steady states, then transients",
+    )  # fmt: skip
+    identify.add_argument(
+        "--horizon", type=float, metavar="SECONDS",
+        help="the values that predict best this far ahead, for a model that lacks something; default: the likeliest",
     )  # fmt: skip
 
     export = add("export", _export, "a model, or a controller, as an FMU")

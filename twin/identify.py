@@ -256,6 +256,54 @@ def to_model(cases: Sequence[Case], point: Point, recordings: Sequence[Recording
     )
 
 
+def for_horizon(model: Model, recordings: Sequence[Recording], horizon: float) -> Model:
+    """The model with the values that predict best up to `horizon` seconds ahead, found from its own, the likeliest.
+
+    Where the structure is complete both are the same but for noise, and the likeliest are the sharper. Where it is
+    not, the likeliest serve the next reading, and a long free run is served by others: those that make up for what is
+    missing on the way. From window to longer window the model runs freely, because the error of a long run has many
+    valleys; of all values that were passed the best over the horizon itself are kept. Raises BadInput.
+    """
+    if not horizon > 0.0:
+        raise BadInput(f"the horizon is {horizon:g} s: give a time above 0")
+    train = [r for r in recordings if r.role == "train"]
+    structure = model.structure
+    cases = with_steps(_choose_contacts(prepare(train, structure), structure, model.values), structure)
+    density = model.torque_density / model.reading_std**2
+    longest = min(horizon, max(float(c.drive.time[-1]) for c in cases))
+
+    def deviance(point: Point) -> float:
+        return point.deviance
+
+    def windows(span: float) -> list[Case]:
+        return [likelihood.ahead(c, density, span) for c in cases]
+
+    goal = windows(longest)
+    best = likelihood.evaluate(goal, structure, model.values, density, model.fitted)
+    values: Mapping[str, float] = model.values
+    span = 2.0 * max(likelihood.memory_of(c, density) for c in cases)
+    while span < longest:
+        values = likelihood.climb(windows(span), structure, values, density, model.fitted, rounds=15).values
+        trial = likelihood.evaluate(goal, structure, values, density, model.fitted)
+        best = min(best, trial, key=deviance)
+        span *= 2.0
+    for begin in (values, best.values):
+        trial = likelihood.climb(goal, structure, begin, density, model.fitted)
+        best = min(best, trial, key=deviance)
+    # Errors of one run hang together: stretches as long as the run, but several for every parameter.
+    whole = sum(float(c.drive.time[-1]) for c in cases)
+    stretch = min(longest, whole / (4.0 * len(model.fitted)))
+    covariance = likelihood.robust_covariance(goal, best, stretch)
+    return replace(
+        model,
+        values={n: float(v) for n, v in best.values.items()},
+        covariance=covariance,
+        intervals={},
+        notes=_notes(best, covariance),
+        provenance={**model.provenance, "horizon": f"{horizon:g} s"},
+    )
+
+
 def identify(
     recordings: Sequence[Recording],
     structure: Structure,

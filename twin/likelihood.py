@@ -46,6 +46,7 @@ class Case:
     reading_variance: float  # of one reading, output unit squared
     contact: float  # where in the gap the motor starts: -1, 0 or 1
     start: tuple[float, float]  # position and velocity
+    free: NDArray[np.bool_] | None = None  # (N,) where the model runs freely and only that is judged; None: nowhere
 
     @property
     def count(self) -> int:
@@ -172,6 +173,19 @@ def density_of(case: Case, memory: float) -> float:
     return step / memory**2 if case.drive.speed else step / memory**4
 
 
+def memory_of(case: Case, density: float) -> float:
+    """After how many seconds the filter forgets at a noise density; the inverse of `density_of`."""
+    return float((step_of(case) / density) ** (0.5 if case.drive.speed else 0.25))
+
+
+def ahead(case: Case, density: float, horizon: float) -> Case:
+    """The case for predictions up to `horizon` seconds ahead: free runs of that length, or to the recording's end, each
+    after a few memories of the filter in which it finds the state.
+    """
+    lead = max(5.0 * memory_of(case, density), LEAST_READINGS * step_of(case))
+    return replace(case, free=np.asarray(case.drive.time % (lead + horizon) >= lead))
+
+
 def gains_for(case: Case, damping: float, density: float) -> tuple[FloatArray, FloatArray]:
     """Kalman gains and innovation variances in units of the reading's; a density of zero is a free run.
 
@@ -184,7 +198,12 @@ def gains_for(case: Case, damping: float, density: float) -> tuple[FloatArray, F
     duration = max(float(case.drive.time[-1]), 1e-9)
     velocity = (spread if case.drive.speed else max(spread / duration, 1e-3 * spread)) ** 2
     first = (1.0, 1.0) if case.drive.speed else (1.0, velocity / case.reading_variance)
-    return kernel.kalman(case.drive, damping, density, first)
+    gains, expected = kernel.kalman(case.drive, damping, density, first)
+    if case.free is None:
+        return gains, expected
+    # What drifts away in a free run is no reading's noise: the errors of all recordings are weighed alike.
+    gains[case.free] = 0.0
+    return gains, np.full(len(expected), 1.0 / case.reading_variance)
 
 
 def _loss(z2: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -218,7 +237,10 @@ def innovations(
     else:
         predicted, _ = kernel.predict(case.drive, p, x, gains)
         slopes = np.zeros((len(predicted), 0))
-    return Innovations(case.drive.measured - predicted, spread * case.reading_variance, slopes)
+    error = case.drive.measured - predicted
+    if case.free is not None:
+        error[~case.free] = np.nan
+    return Innovations(error, spread * case.reading_variance, slopes)
 
 
 def _scale_of(z2: FloatArray) -> float:

@@ -142,11 +142,21 @@ def check_folder(out: Path, force: bool) -> None:
     check_place(out if out.is_dir() else out.parent)
 
 
-def estimate(recordings: Sequence[Recording], structure: Structure, method: str, tell: Progress) -> Model:
-    """A model by either method. Raises BadInput where the recordings do not allow it."""
+def estimate(
+    recordings: Sequence[Recording], structure: Structure, method: str, tell: Progress, horizon: float | None = None
+) -> Model:
+    """A model by either method, with the values that predict best over a horizon (s) if one is given.
+
+    Raises BadInput where the recordings do not allow it.
+    """
+    if horizon is not None and method != "joint":
+        raise BadInput(f"--horizon goes with --method joint, not {method}: leave one of them out")
     if method == "joint":
         compile_kernel(tell)
-        found = identify.identify(recordings, structure, progress=lambda s, x: tell(s, 0.05 + 0.95 * x))
+        found = identify.identify(recordings, structure, progress=lambda s, x: tell(s, 0.05 + 0.85 * x))
+        if horizon is not None:
+            tell(f"the best values over {horizon:g} s", 0.9)
+            found = identify.for_horizon(found, recordings, horizon)
     else:
         tell("steady states and transients", 0.1)
         train = [r for r in recordings if r.role == "train"]
