@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from test_control import axis
 
+from twin import controller as controllers
 from twin.control import design
-from twin.cosim import find_limit_cycle, make_reference, run, simulate, to_json
+from twin.cosim import find_limit_cycle, judge, make_reference, run, simulate, to_json, unaware
 from twin.errors import BadInput
 from twin.package import export
-from twin.reference import read_reference
+from twin.reference import check, read_reference
 from twin.robust import draw, robustness, trial
 
 HARD = {"gravity_gain": 3.0, "coulomb_friction": 1.0, "delay": 0.005, "lag_time": 0.01}
@@ -73,27 +74,43 @@ def test_fmu_and_model_and_compiled_kernel_give_the_same_loop(tmp_path: Path) ->
 
 @pytest.mark.parametrize("gap", [0.005, 0.02])
 @pytest.mark.parametrize("share", [0.25, 0.5])
-def test_hunting_comes_as_the_describing_function_says(gap: float, share: float) -> None:
+def test_hunting_comes_as_the_describing_function_says_and_goes_with_the_gap_aware_mode(
+    gap: float, share: float
+) -> None:
     model = axis(backlash_gap=gap, motor_share=share)
-    made = design(model)
-    ignorant = replace(
-        made,
-        values={**made.values, "backlash_gap": 0.0},
-        settings={**made.settings, "tolerance": 0.0},
-    )
-    seen = simulate(model, ignorant, make_reference("minimum-jerk", made)).limit_cycle
-    assert seen is not None and made.limit_cycle is not None
-    assert seen.frequency == pytest.approx(made.limit_cycle.frequency, rel=0.1)
-    assert seen.amplitude == pytest.approx(made.limit_cycle.amplitude, rel=0.25)
-
-
-@pytest.mark.parametrize("share", [0.25, 0.5])
-def test_gap_aware_loop_stands_still(share: float) -> None:
-    model = axis(backlash_gap=0.02, motor_share=share)
     made = design(model)
     tracking = simulate(model, made, make_reference("minimum-jerk", made))
     assert tracking.limit_cycle is None
-    assert any("not seen" in sentence for sentence in tracking.says)
+    found = tracking.hunting
+    assert found is not None and found.unaware is not None and made.limit_cycle == found.predicted
+    assert found.unaware.frequency == pytest.approx(found.predicted.frequency, rel=0.1)
+    assert found.unaware.amplitude == pytest.approx(found.predicted.amplitude, rel=0.25)
+    assert found.verdict == "confirmed" and "confirmed" in tracking.says[-1]
+
+
+@pytest.mark.parametrize("rings", [25.0, 60.0, 235.0])
+@pytest.mark.parametrize("damping", [0.1, 1.3])
+@pytest.mark.parametrize("pull", [0.0, 6.0])
+def test_compliant_teeth_hunt_no_more(rings: float, damping: float, pull: float) -> None:
+    """A link without friction: whether its teeth rebound or not, the gap-aware mode leaves no limit cycle."""
+    teeth = {"tooth_frequency": rings, "tooth_damping": damping, "backlash_gap": 0.02}
+    model = axis("tooth_compliance", "gravity", **teeth, gravity_gain=pull, gravity_angle=0.4)
+    made = design(model)
+    reference = make_reference("minimum-jerk", made)
+    runs = [judge(c, reference, *trial(model, c, reference)) for c in (unaware(made), made)]
+    assert runs[0].limit_cycle or pull, "without load it hunts, or there is nothing to show"
+    assert runs[1].limit_cycle is None
+    rest = reference.time > reference.rests_from + 1.0
+    assert np.max(np.abs(runs[1].error[rest])) < 3 * made.settings["tolerance"]
+
+
+def test_load_that_holds_the_flank_refutes_the_prediction_and_needs_no_tolerance() -> None:
+    model = axis("gravity", gravity_gain=6.0, gravity_angle=0.4, backlash_gap=0.02)
+    made = design(model, 2.0)
+    tracking = simulate(model, made, make_reference("minimum-jerk", made))
+    assert tracking.hunting is not None and tracking.hunting.verdict == "refuted"
+    assert abs(tracking.error[-1]) < 0.2 * made.settings["tolerance"]
+    assert to_json(tracking)["hunting"]["unaware"] is None
 
 
 def test_without_a_gap_nothing_hunts_and_nothing_is_predicted() -> None:
@@ -189,6 +206,21 @@ def test_reference_beyond_reach_is_refused_before_anything_runs() -> None:
         make_reference("square", made)
     with pytest.raises(BadInput, match="amplitude"):
         make_reference("sine", made, amplitude=-1.0)
+
+
+@pytest.mark.parametrize("kind", ["minimum-jerk", "sine", "step"])
+@pytest.mark.parametrize(("lower", "upper"), [(-0.5, 0.4), (2.0, 3.0)])
+def test_reference_beyond_a_stop_is_refused_and_a_made_one_stays_between(
+    kind: str, lower: float, upper: float
+) -> None:
+    made = design(axis("end_stop", stop_stiffness=5e3, stop_lower=lower, stop_upper=upper))
+    assert controllers.loads(controllers.dumps(made)).ends == (lower, upper)
+    inside = make_reference(kind, made)
+    check(inside, made)
+    assert inside.travel > 0.3 and lower < np.min(inside.position) and np.max(inside.position) < upper
+    with pytest.raises(BadInput, match=rf"{kind} reference asks at t = .* beyond a stop: stay between {lower:g} and"):
+        check(make_reference(kind, made, amplitude=5.0, duration=60.0), made)
+    check(make_reference(kind, design(axis("end_stop", stop_stiffness=0.0)), 5.0, 60.0), design(axis()))
 
 
 def test_other_structures_names_and_files_are_refused(tmp_path: Path) -> None:

@@ -408,36 +408,72 @@ def _diagnose(args: argparse.Namespace) -> int:
 
 def _control(args: argparse.Namespace) -> int:
     _check_outputs(args, args.out)
-    from twin import control, controller, files, model
+    from twin import control, controller, files, model, robust
 
-    made = control.design(model.read(args.model), args.bandwidth, args.limit)
+    known = model.read(args.model)
+    made = control.design(known, args.bandwidth, args.limit)
+    if args.max_peak is not None and not args.max_peak > 0.0:
+        raise BadInput(f"--max-peak is {args.max_peak:g}: give an error above 0, in {made.axis_unit}")
+    says, found = [f"{args.out}: {made!r}.", *made.remarks], None
+    if known.fitted and args.draws:
+        with _progress(args) as tell:
+            tell("compiling the closed loop (once on a machine)", 0.0)
+            robust.compiled()
+            found = robust.robustness(
+                known, made, draws=args.draws, specification=args.max_peak,
+                progress=lambda done: tell("trying what the axis may be", done / args.draws),
+            )  # fmt: skip
+        says += found.says
+    elif not known.fitted:
+        says.append("The model has no covariance, so the controller was not tried on what else the axis may be.")
+        if args.max_peak is not None:
+            raise BadInput(f"{args.model} has no covariance to draw from, which --max-peak needs: identify it")
     files.put(args.out, controller.dumps(made))
-    margins = vars(made.margins)
     answer = {
-        "format": "twin-control/1", "controller": str(args.out), "bandwidth": made.bandwidth, "margins": margins,
+        "format": "twin-control/1", "controller": str(args.out), "bandwidth": made.bandwidth,
+        "margins": vars(made.margins),
         "limit_cycle": None if made.limit_cycle is None else vars(made.limit_cycle), "remarks": list(made.remarks),
+        "robustness": None if found is None else {
+            "draws": len(found.peak), "median": found.median, "worst": found.worst, "share": found.share,
+            "specification": found.specification, "learn": found.learn, "says": list(found.says),
+        },
     }  # fmt: skip
-    _answer(args, [f"{args.out}: {made!r}.", *made.remarks], answer)
-    return 0
+    _answer(args, says, answer)
+    return 1 if args.max_peak is not None and found is not None and found.share < robust.ENOUGH else 0
+
+
+def _mapping(pairs: Sequence[str]) -> dict[str, str]:
+    """NAME=NAME options. Raises BadInput."""
+    for pair in pairs:
+        if not all(pair.partition("=")):
+            raise BadInput(f"--map is {pair!r}: write it as OURS=THEIRS, such as duty=motor_command")
+    return {ours: theirs for ours, _, theirs in (pair.partition("=") for pair in pairs)}
 
 
 def _cosim(args: argparse.Namespace) -> int:
-    _check_outputs(args, args.out)
+    _check_outputs(args, args.out, args.plot)
     from twin import controller, cosim, files, reference
 
+    names = _mapping(args.map)
     made = controller.read(args.controller)
-    wanted = None
-    if args.reference in reference.KINDS:
-        wanted = reference.make_reference(args.reference, made)
-    elif args.reference is not None:
-        wanted = reference.read_reference(Path(args.reference), made.sample_time)
+    kind = args.reference or "minimum-jerk"
+    if kind in reference.KINDS:
+        wanted = reference.make_reference(kind, made, args.amplitude, args.duration)
+    elif args.amplitude is not None or args.duration is not None:
+        raise BadInput(f"--amplitude and --duration shape {', '.join(reference.KINDS)}, not a file like {kind}")
+    else:
+        wanted = reference.read_reference(Path(kind), made.sample_time)
     with _progress(args) as tell:
         tell("closing the loop around the FMU", 0.0)
-        ran = cosim.run(args.fmu, made, wanted)
+        ran = cosim.run(args.fmu, made, wanted, names, not args.other_structure)
     if args.out is not None:
         columns = (ran.time, ran.reference, ran.position, ran.input)
         lines = [",".join(f"{v:.10g}" for v in row) for row in zip(*(c.tolist() for c in columns), strict=True)]
         files.put(args.out, "\n".join(["time,reference,position,input", *lines]) + "\n")
+    if args.plot is not None:
+        from twin import figures
+
+        files.put(args.plot, figures.tracking(ran, made.axis_unit, made.input_unit))
     _answer(args, ran.says, cosim.to_json(ran))
     return 0
 
@@ -553,10 +589,26 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     control.add_argument("--bandwidth", type=float, metavar="HZ", help="default: what the axis allows")
     control.add_argument("--limit", type=float, help="largest command; default: the drive's, or the largest recorded")
 
+    control.add_argument(
+        "--draws", type=int, default=200, metavar="N", help="axes drawn from the parameters' covariance; 0: none"
+    )
+    control.add_argument(
+        "--max-peak", type=float, metavar="ERROR",
+        help="acceptable peak tracking error, in the axis' unit; exit 1 where fewer than 95 %% of the draws keep it",
+    )  # fmt: skip
+
     cosim = add("cosim", _cosim, "the closed loop in FMPy co-simulation")
     cosim.add_argument("fmu", type=Path, metavar="ARM.fmu")
     cosim.add_argument("controller", type=Path, metavar="CONTROLLER.toml")
     cosim.add_argument("--reference", metavar="CSV", help="a CSV with time and position, or minimum-jerk, sine, step")
+    cosim.add_argument("--amplitude", type=float, help="travel of a made reference, in the axis' unit")
+    cosim.add_argument("--duration", type=float, metavar="S", help="of the whole of a made reference")
+    cosim.add_argument(
+        "--map", action="append", default=[], metavar="OURS=THEIRS",
+        help="the FMU's own name of duty (or voltage, ...), position or position_measured; may be repeated",
+    )  # fmt: skip
+    cosim.add_argument("--other-structure", action="store_true", help="take an FMU with other effects than the design")
+    cosim.add_argument("--plot", type=Path, metavar="SVG", help="reference, link, error and command as a figure")
     _add_out(cosim, "CSV", required=False, text="reference, position and input at every sample")
 
     check = add("check", _check, "for CI: exit 1 when the twin no longer fits")

@@ -22,7 +22,8 @@ from twin.model import Model
 
 FAST = 4.0  # observer over loop
 SLOW = 0.5  # integral action over loop
-TOLERATED = 1.2  # error left alone at rest over the amplitude of the hunting it would cause
+TOLERATED = 1.2  # error left alone at rest, once the loop has hunted, over the amplitude of its hunting
+CALM = 0.12  # velocity gain while it is left alone over the loop's: more keeps teeth that rebound in motion
 FULL_DRIVE = {"%": 100.0}
 SPREAD_OF_NOISE = 0.03  # share of the limit that noise may take of the command
 SENSITIVE = 2.0  # largest sensitivity of a loop designed without an asked bandwidth
@@ -175,11 +176,19 @@ def _tuned(model: Model, draft: Controller, bandwidth: float) -> Controller:
     limit = draft.settings["limit"]
     gains, spread = _observer(model, draft, rate)
     settings = {**draft.settings, **_gains(draft, rate), **gains}
+    settings["calming"] = CALM * settings["velocity_gain"]
     settings["rest_speed"] = max(3.0 * spread, 1e-9)
     tuned = replace(draft, bandwidth=bandwidth, settings=settings)
     noise = linear.command_noise(tuned, _reading_variance(model), model.torque_density)
     settings["blur"] = max(2.0 * noise, 0.002 * limit) if math.isfinite(noise) else 0.1 * limit
     return replace(tuned, settings=settings, command_noise=noise)
+
+
+def _ends(model: Model) -> tuple[float, float]:
+    """Where the stops are."""
+    if model.values.get("stop_stiffness", 0.0) <= 0.0:
+        return -math.inf, math.inf
+    return model.values["stop_lower"], model.values["stop_upper"]
 
 
 def _draft(model: Model, limit: float) -> Controller:
@@ -207,10 +216,13 @@ def _draft(model: Model, limit: float) -> Controller:
         "rest_speed": 1.0,
         "blur": 1.0,
         "braking": 0.7,
+        "calming": 0.0,
         "tolerance": 0.0,
     }
     known = {k: v for k, v in model.known.items() if k in ("payload", "moment")}
-    draft = Controller(model.structure, structure, values, settings, known, model.axis_unit, model.input_unit)
+    draft = Controller(
+        model.structure, structure, values, settings, known, model.axis_unit, model.input_unit, ends=_ends(model)
+    )  # fmt: skip
     speed, acceleration = _reach(draft)
     if acceleration <= 0.0:
         raise BadInput(
@@ -251,7 +263,11 @@ def _remarks(model: Model, controller: Controller) -> list[str]:
     for effect in model.structure.effects:
         if effect.id not in controller.structure and effect.station != "transmission":
             if effect.id == "end_stop":
-                says.append("end_stop: a wall cannot be cancelled; references must stay inside the stops.")
+                lower, upper = controller.ends
+                says.append(
+                    f"end_stop: a wall cannot be cancelled; references must stay between {lower:.4g} and "
+                    f"{upper:.4g} {model.axis_unit}."
+                )
             else:
                 says.append(
                     f"{effect.id}: its moment on the rig is not known, so it is not cancelled; "
@@ -270,8 +286,9 @@ def _remarks(model: Model, controller: Controller) -> list[str]:
         if cycle := controller.limit_cycle:
             says.append(
                 f"limit cycle: by its describing function the gap would let the loop hunt by {cycle.amplitude:.3g} "
-                f"{model.axis_unit} at {cycle.frequency:.3g} Hz; so at rest errors below "
-                f"{controller.settings['tolerance']:.3g} {model.axis_unit} are left alone."
+                f"{model.axis_unit} at {cycle.frequency:.3g} Hz where neither load nor friction "
+                f"holds the flank; after three such swings at rest errors below {controller.settings['tolerance']:.3g} "
+                f"{model.axis_unit} are left alone, and the motion is only braked."
             )
     limit = controller.settings["limit"]
     says.append(

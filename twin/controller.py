@@ -15,6 +15,7 @@ from twin.model import INPUT_NAMES, read_structure, read_units
 from twin.tomlfile import finite, load, number, pairs, parse, quoted, real, section, texts
 
 FORMAT = "twin-controller/1"
+_NO_ENDS = {"lower": -math.inf, "upper": math.inf}
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ class Controller:
     bandwidth: float = 1.0  # Hz, of the closed loop's poles
     reachable_speed: float = math.inf  # axis_unit/s
     reachable_acceleration: float = math.inf  # axis_unit/s^2
+    ends: tuple[float, float] = (-math.inf, math.inf)  # positions of the stops, axis_unit
     command_noise: float = 0.0  # standard deviation of the command by noise alone, input's unit
     margins: Margins = Margins(math.nan, math.nan, math.nan, math.nan)
     limit_cycle: LimitCycle | None = None  # predicted; None: none
@@ -98,6 +100,8 @@ def dumps(controller: Controller) -> str:
         f"input_unit = {quoted(c.input_unit)}",
         f"reachable_speed = {number(c.reachable_speed)}",
         f"reachable_acceleration = {number(c.reachable_acceleration)}",
+        f"lower_end = {number(c.ends[0])}",
+        f"upper_end = {number(c.ends[1])}",
         "",
         "[structure]",
         f"plant = {texts(c.plant.ids)}",
@@ -177,6 +181,9 @@ def loads(text: str, where: str = "controller") -> Controller:
     if cycle:
         amplitude, frequency = (finite(f"{where}: [limit_cycle] {n}", cycle.get(n)) for n in ("amplitude", "frequency"))
         limit_cycle = LimitCycle(amplitude, frequency)
+    lower, upper = (real(f"{where}: [axis] {n}_end", axis.get(f"{n}_end", e)) for n, e in _NO_ENDS.items())
+    if not lower < upper:
+        raise BadInput(f"{where}: [axis] lower_end {lower:g} is not below upper_end {upper:g}: correct them")
     return Controller(
         plant=read_structure(where, structures, "plant"),
         structure=structure,
@@ -190,6 +197,7 @@ def loads(text: str, where: str = "controller") -> Controller:
         reachable_acceleration=real(
             f"{where}: [axis] reachable_acceleration", axis.get("reachable_acceleration", math.inf)
         ),
+        ends=(lower, upper),
         command_noise=real(f"{where}: [margins] command_noise", margins.get("command_noise", 0.0)),
         margins=Margins(margin("gain"), margin("phase"), margin("delay"), margin("sensitivity")),
         limit_cycle=limit_cycle,

@@ -7,9 +7,9 @@ one sample later. A plant is anything that can be read and stepped: an FMU in FM
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -32,6 +32,36 @@ from twin.writers import python
 FloatArray = NDArray[np.floating[Any]]
 
 
+@dataclass(frozen=True)
+class Hunting:
+    """A limit cycle across the gap: as predicted, and as co-simulation shows it with the gap-aware mode off and on."""
+
+    predicted: LimitCycle
+    unaware: LimitCycle | None
+    aware: LimitCycle | None
+
+    @property
+    def verdict(self) -> str:
+        """On the prediction: confirmed, refuted, or seen otherwise than predicted."""
+        if self.unaware is None:
+            return "refuted"
+        ratios = (
+            self.unaware.amplitude / self.predicted.amplitude,
+            self.unaware.frequency / self.predicted.frequency,
+        )
+        return "confirmed" if all(0.5 <= r <= 2.0 for r in ratios) else "seen, but not as predicted"
+
+    def sentence(self, unit: str) -> str:
+        def words(cycle: LimitCycle | None) -> str:
+            return f"{cycle.amplitude:.3g} {unit} at {cycle.frequency:.3g} Hz" if cycle else "none"
+
+        why = ", since load or friction holds the flank" if self.unaware is None else ""
+        return (
+            f"Limit cycle across the gap: {words(self.predicted)} by its describing function, {self.verdict}; "
+            f"in co-simulation without the gap-aware mode {words(self.unaware)}{why}, with it {words(self.aware)}."
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Tracking:
     """What the closed loop did. Arrays (N,); errors of the true link position against the reference."""
@@ -46,6 +76,7 @@ class Tracking:
     settled: float | None  # s after the reference's last move until within 2 % of the travel for good
     limit_cycle: LimitCycle | None  # at rest, at the end
     says: tuple[str, ...]  # sentences
+    hunting: Hunting | None = None  # where a limit cycle was predicted and the reference rests
 
     @property
     def error(self) -> FloatArray:
@@ -244,17 +275,10 @@ def judge(controller: Controller, reference: Reference, position: FloatArray, co
         f"On the {reference.kind} reference over {reference.travel:.3g} {unit} the link errs by {rms:.3g} {unit} RMS "
         f"and {peak:.3g} {unit} at most, with {effort:.3g} {controller.input_unit} RMS of command."
     ]
-    predicted = controller.limit_cycle
     if cycle:
         says.append(f"At rest it hunts: a limit cycle of {cycle.amplitude:.3g} {unit} at {cycle.frequency:.3g} Hz.")
     elif rest > 0.0:
         says.append("At rest it stands still: no limit cycle.")
-    if predicted and rest > 0.0:
-        verdict = "confirmed" if cycle else "not seen"
-        says.append(
-            f"The describing function of the gap predicts {predicted.amplitude:.3g} {unit} at "
-            f"{predicted.frequency:.3g} Hz: {verdict}."
-        )
     clipped = float(np.mean(np.abs(command) >= 0.999 * controller.settings["limit"]))
     if clipped > 0.01:
         says.append(f"The command is at its limit for {100 * clipped:.0f} % of the time.")
@@ -263,9 +287,34 @@ def judge(controller: Controller, reference: Reference, position: FloatArray, co
     )  # fmt: skip
 
 
+def unaware(controller: Controller) -> Controller:
+    """The controller as it would be if it knew nothing of the gap, with the same gains."""
+    if "backlash_gap" not in controller.values:
+        return controller
+    return replace(
+        controller,
+        values={**controller.values, "backlash_gap": 0.0},
+        settings={**controller.settings, "tolerance": 0.0},
+    )
+
+
+def _with_hunting(
+    tracking: Tracking, controller: Controller, reference: Reference, again: Callable[[Controller], Tracking]
+) -> Tracking:
+    """Where a limit cycle is predicted: the prediction against a run without the gap-aware mode."""
+    if controller.limit_cycle is None or reference.rests_from >= reference.time[-1]:
+        return tracking
+    found = Hunting(controller.limit_cycle, again(unaware(controller)).limit_cycle, tracking.limit_cycle)
+    return replace(tracking, hunting=found, says=(*tracking.says, found.sentence(controller.axis_unit)))
+
+
 def simulate(model: Model, controller: Controller, reference: Reference) -> Tracking:
     """The loop with the model in process as the plant, which may be another one than the controller's."""
-    return close(ModelPlant(model, float(reference.position[0])), controller, reference)
+
+    def once(made: Controller) -> Tracking:
+        return close(ModelPlant(model, float(reference.position[0])), made, reference)
+
+    return _with_hunting(once(controller), controller, reference, once)
 
 
 def run(
@@ -278,20 +327,35 @@ def run(
     """
     wanted = make_reference("minimum-jerk", controller) if reference is None else reference
     check(wanted, controller)
-    with open_plant(fmu, controller, float(wanted.position[0]), names or {}, same_structure) as plant:
-        return close(plant, controller, wanted)
+
+    def once(made: Controller) -> Tracking:
+        with open_plant(fmu, controller, float(wanted.position[0]), names or {}, same_structure) as plant:
+            return close(plant, made, wanted)
+
+    return _with_hunting(once(controller), controller, wanted, once)
 
 
 def to_json(tracking: Tracking) -> dict[str, Any]:
     """The figures, for other programs."""
-    cycle = tracking.limit_cycle
+    def cycle(found: LimitCycle | None) -> dict[str, float] | None:
+        return None if found is None else {"amplitude": found.amplitude, "frequency": found.frequency}
+
+    hunting = tracking.hunting
     return {
         "format": "twin-tracking/1",
         "rms": tracking.rms,
         "peak": tracking.peak,
         "effort": tracking.effort,
         "settled": tracking.settled,
-        "limit_cycle": None if cycle is None else {"amplitude": cycle.amplitude, "frequency": cycle.frequency},
+        "limit_cycle": cycle(tracking.limit_cycle),
+        "hunting": None
+        if hunting is None
+        else {
+            "predicted": cycle(hunting.predicted),
+            "verdict": hunting.verdict,
+            "unaware": cycle(hunting.unaware),
+            "aware": cycle(hunting.aware),
+        },
         "duration": float(tracking.time[-1]),
         "says": list(tracking.says),
     }

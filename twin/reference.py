@@ -61,12 +61,16 @@ def make_reference(
 ) -> Reference:
     """A reference within the axis' reach: "minimum-jerk" and "step" go there and back and rest, "sine" swings.
 
-    `amplitude` in the axis' unit, `duration` in s of the whole. Raises BadInput for an unknown kind or numbers
-    that are not usable.
+    It begins at 0, or midway between the stops where 0 is not between them. `amplitude` in the axis' unit (by
+    default what fits before the upper stop), `duration` in s of the whole. Raises BadInput for an unknown kind or
+    numbers that are not usable.
     """
     if kind not in KINDS:
         raise BadInput(f"reference kind is {kind!r}: use one of {', '.join(KINDS)}, or a CSV file")
-    size = TRAVEL[controller.axis_unit] if amplitude is None else amplitude
+    lower, upper = controller.ends
+    begin = 0.0 if lower < 0.0 < upper else 0.5 * (lower + upper)
+    room = (upper - begin) * (1.6 if kind == "sine" else 0.8)
+    size = min(TRAVEL[controller.axis_unit], room) if amplitude is None else amplitude
     for name, value in (("amplitude", size), ("duration", 1.0 if duration is None else duration)):
         if not (math.isfinite(value) and value > 0.0):
             raise BadInput(f"reference {name} is {value:g}: give a number above 0")
@@ -96,14 +100,15 @@ def make_reference(
         s, c = np.sin(w * (t - lead)), np.cos(w * (t - lead))
         half = 0.5 * size
         return Reference(
-            kind, t, half * grow * s, half * (grow1 * s + grow * w * c),
+            kind, t, begin + half * grow * s, half * (grow1 * s + grow * w * c),
             half * (grow2 * s + 2 * grow1 * w * c - grow * w * w * s),
         )  # fmt: skip
     back = lead + length + rest
     if kind == "step":
-        return Reference(kind, t, np.where((t >= lead) & (t < back), size, 0.0), zero, zero)
+        return Reference(kind, t, begin + np.where((t >= lead) & (t < back), size, 0.0), zero, zero)
     there, again = _move(t, lead, length, size), _move(t, back, length, -size)
-    return Reference(kind, t, *(a + b for a, b in zip(there, again, strict=True)))
+    position, velocity, acceleration = (a + b for a, b in zip(there, again, strict=True))
+    return Reference(kind, t, begin + position, velocity, acceleration)
 
 
 def read_reference(path: Path, sample_time: float) -> Reference:
@@ -182,6 +187,14 @@ def check(reference: Reference, controller: Controller) -> None:
     for name in ("position", "velocity", "acceleration"):
         if not np.all(np.isfinite(getattr(reference, name))):
             raise BadInput(f"{reference.kind} reference has a {name} that is not finite: mend it")
+    lower, upper = controller.ends
+    outside = np.flatnonzero((reference.position < lower) | (reference.position > upper))
+    if len(outside):
+        when, where = reference.time[outside[0]], reference.position[outside[0]]
+        raise BadInput(
+            f"{reference.kind} reference asks at t = {when:.4g} s for position {where:.4g} {controller.axis_unit}, "
+            f"beyond a stop: stay between {lower:.4g} and {upper:.4g}"
+        )
     total = 1.0 + law.mass(0.0, k[0], p)
     damping = v.get("viscous_friction", 0.0)
     stride = max(1, len(reference.time) // 5000)

@@ -27,7 +27,7 @@ from twin.writers.python import module as axis_module
 from twin.writers.python import numbering, resolve
 
 #: Memory of the controller between samples.
-MEMORY = ("started", "nominal", "disturbance", "acceleration", "holding")
+MEMORY = ("started", "nominal", "disturbance", "acceleration", "holding", "goal", "flank", "crossings")
 
 #: The design's numbers, in the order of `g`. {x}, {u}: units of axis and input.
 SETTINGS: dict[str, tuple[str, str]] = {
@@ -46,10 +46,8 @@ SETTINGS: dict[str, tuple[str, str]] = {
     "rest_speed": ("{x}/s", "speed below which the observer cannot tell motion from rest"),
     "blur": ("{u}", "effective command within which the dead-band is passed in a straight line"),
     "braking": ("1", "share of the available torque on which a large step counts for braking"),
-    "tolerance": (
-        "{x}",
-        "error at rest within which the load is only held, so as not to hunt across the gap",
-    ),
+    "calming": ("1/s", "acceleration per velocity that brakes a loop caught hunting across the gap"),
+    "tolerance": ("{x}", "error at rest left alone once the loop has hunted across the gap; it lets go at twice that"),
 }
 
 
@@ -163,14 +161,26 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
     if has.backlash:
         if x.velocity != x.motor_velocity and x.gap < 0.5 * p.backlash_gap and x.gap > -0.5 * p.backlash_gap:
             apart = 1
+    if reference != m.goal:
+        m.goal = reference
+        m.crossings = 0.0
+        m.holding = 0.0
+    if has.backlash:
+        touched = m.flank
+        if x.gap >= 0.5 * p.backlash_gap:
+            touched = 1.0
+        elif x.gap <= -0.5 * p.backlash_gap:
+            touched = -1.0
+        if touched != m.flank:
+            m.flank = touched
+            m.crossings = m.crossings + 1.0
     x.position = x.position + g.observer_position * error
     x.velocity = x.velocity + g.observer_velocity * error
     if apart == 0:
         x.motor_velocity = x.motor_velocity + g.observer_velocity * error
     else:
         x.gap = clip(x.gap - g.observer_position * error, 0.5 * p.backlash_gap)
-    if m.holding == 0.0:
-        m.disturbance = m.disturbance + g.observer_disturbance * error
+    m.disturbance = m.disturbance + g.observer_disturbance * error
     p.offset = m.nominal + m.disturbance
 
     whole = int(g.whole)
@@ -208,14 +218,15 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
         spare = least
     closing = approach(away, spare, g)
     wish = acceleration + g.velocity_gain * (closing + pace - y.velocity)
-    if speed != 0.0 or acceleration != 0.0 or side * away > 1.5 * g.tolerance:
+    # Three swings across the gap at rest are hunting. A load or friction that holds the flank never lets it begin.
+    if m.crossings < 6.0 or side * away > 2.0 * g.tolerance:
         m.holding = 0.0
-    elif side * away < g.tolerance and clip(y.velocity, g.rest_speed) == y.velocity:
+    elif side * away < g.tolerance:
         m.holding = 1.0
     if m.holding > 0.0:
         closing = 0.0
-        # Only the load is held up; the axis' own resistance ends the motion without a crossing of the gap.
-        wish = resist / total
+        # The load is held up and the motion gently braked: without the pull to the goal nothing keeps it swinging.
+        wish = resist / total - g.calming * y.velocity
 
     heading = clip(2.0 * y.velocity / g.rest_speed, 2.0) + clip((pace + closing) / g.rest_speed, 1.0)
     heading = clip(heading, 1.0)
