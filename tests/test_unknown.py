@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin import likelihood, locate, unknown
+from twin import extend, likelihood, locate, unknown
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, UNKNOWN
 from twin.effects.knots import KNOTS, line, names
@@ -76,19 +76,19 @@ def test_line_goes_through_its_knots_and_on_level():
 
 def test_null_predicts_nothing():
     case, point = fitted("nothing")
-    found = unknown.leftover([case], point.structure, point.values)
+    found = unknown.leftover(case, point.structure, point.values)
     assert found.share < 0.05
     assert found.p_value > 1e-3
     assert not unknown.is_left(found)
 
 
-def test_what_one_recording_lacks_counts_beside_others_that_lack_nothing():
+def test_of_several_recordings_the_one_that_lacks_most_decides():
     clean, point = fitted("nothing")
     lacking, _ = fitted("bump")
-    both = unknown.leftover([clean, lacking], point.structure, point.values)
-    assert unknown.is_left(both)
-    twice = unknown.leftover([clean, clean], point.structure, point.values)
-    assert not unknown.is_left(twice)
+    longer = replace(clean, drive=replace(clean.drive, time=1.01 * clean.drive.time))
+    for cases, telling in (((longer, lacking), lacking), ((clean, longer), longer)):
+        found = extend.Search(point, point, (), cases)
+        assert extend._telling(found)[0] is telling
 
 
 def test_p_value_is_uniform_on_noise():
@@ -109,7 +109,7 @@ def test_p_value_is_uniform_on_noise():
 
 def test_missing_drag_shows_over_velocity():
     case, point = fitted("drag")
-    before = unknown.leftover([case], point.structure, point.values)
+    before = unknown.leftover(case, point.structure, point.values)
     assert before.share > 0.2
     assert before.p_value < 1e-2
     assert "velocity" in before.variables
@@ -118,7 +118,7 @@ def test_missing_drag_shows_over_velocity():
 
 def test_bump_over_position_is_found_and_drawn():
     case, base = fitted("bump")
-    before = unknown.leftover([case], base.structure, base.values)
+    before = unknown.leftover(case, base.structure, base.values)
     assert before.share > 0.3
     assert before.p_value < 1e-2
     assert "position" in before.variables
@@ -133,7 +133,7 @@ def test_bump_over_position_is_found_and_drawn():
     # Straight lines between other knots than the planted ones miss the corners by a little beside the band.
     assert np.all(np.abs(heights - truth) < 4.0 * band + 0.35)
     assert np.abs(heights - truth)[np.isfinite(band)].max() < 0.3 * 3.0
-    after = unknown.leftover([case], found.structure, found.values)
+    after = unknown.leftover(case, found.structure, found.values)
     assert after.size < 0.4 * before.size
 
 

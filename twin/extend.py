@@ -332,6 +332,12 @@ def _next(found: Search) -> Experiment:
         return Experiment(why=f"no experiment was designed: {error}")
 
 
+def _telling(found: Search) -> tuple[Case, unknown.Leftover]:
+    """The recording in which the first model lacks most, the longest if it lacks nothing, and what it lacks there."""
+    judged = [(c, unknown.leftover(c, found.first.structure, found.first.values)) for c in found.cases]
+    return max(judged, key=lambda j: (j[1].size if unknown.is_left(j[1]) else 0.0, float(j[0].drive.time[-1])))
+
+
 def diagnose(
     recordings: Sequence[Recording],
     first: Structure,
@@ -354,8 +360,8 @@ def diagnose(
     train, held_out = split(recordings)
     found = search(train, first, held, candidates, progress)
     lap("search")
-    case = max(found.cases, key=lambda c: float(c.drive.time[-1]))
-    left = [unknown.leftover(found.cases, p.structure, p.values) for p in (found.first, found.last)]
+    case, lacking = _telling(found)
+    left = [lacking, unknown.leftover(case, found.last.structure, found.last.values)]
     named = bool(set(found.last.structure.named) - set(first.named))
     verdict = unknown.verdict(named, left[0], left[1])
     if verdict == "unexplained":

@@ -7,7 +7,7 @@ the recording: the velocity correction per time, shifted back by the filter's de
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,17 +106,6 @@ def missing_torque(case: Case, structure: Structure, values: Mapping[str, float]
         acceleration=np.gradient(velocity, case.drive.time),
         command=case.recording.input,
         step=step,
-    )
-
-
-def joined(parts: Sequence[Missing]) -> Missing:
-    """What several recordings of one axis lack, one after the other on one clock."""
-    begins = np.cumsum([0.0, *(float(m.time[-1]) + m.step for m in parts[:-1])])
-    columns = ("torque", "position", "velocity", "acceleration", "command")
-    return Missing(
-        time=np.concatenate([m.time + begin for m, begin in zip(parts, begins, strict=True)]),
-        step=float(np.median([m.step for m in parts])),
-        **{name: np.concatenate([getattr(m, name) for m in parts]) for name in columns},
     )
 
 

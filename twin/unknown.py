@@ -220,10 +220,10 @@ def examine(missing: Missing, seed: int = 1) -> Leftover:
     return Leftover(max(best.share, 0.0), p_value, best.variables, best.table, best.size, tuple(found))
 
 
-def leftover(cases: Sequence[Case], structure: Structure, values: Mapping[str, float]) -> Leftover:
-    """Is there still structure in what a fitted model lacks that depends on the state, in all recordings together?"""
-    mine = identify.with_steps(cases, structure)
-    return examine(locate.joined([locate.missing_torque(c, structure, values) for c in mine]))
+def leftover(case: Case, structure: Structure, values: Mapping[str, float]) -> Leftover:
+    """Is there still structure in what a fitted model lacks that depends on the state?"""
+    (mine,) = identify.with_steps([case], structure)
+    return examine(locate.missing_torque(mine, structure, values))
 
 
 def is_left(found: Leftover) -> bool:
