@@ -193,12 +193,13 @@ class Axis(Fmi2Slave):
         now = self.x[-1]
         end = now + length
         delay = v[self.delay]
+        slack = (1.0 - self.round) * self.longest  # no pieces that exist by rounding only
         while now < end:
-            while v[self.count] and v[self.times] + delay <= now:
+            while v[self.count] and v[self.times] + delay <= now + slack:
                 v[self.acting] = v[self.values]
                 self.drop(0)
             until = end
-            if v[self.count] and v[self.times] + delay < end:
+            if v[self.count] and v[self.times] + delay < end - slack:
                 until = v[self.times] + delay
             self.run(until - now, v[self.acting])
             now = until

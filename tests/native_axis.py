@@ -64,11 +64,13 @@ def command(count: int, held: int = 1) -> np.ndarray:
     return np.repeat(u[::held], held)[:count]
 
 
-def by_kernel(model: Model, u: np.ndarray, position: float, velocity: float) -> np.ndarray:
+def by_kernel(
+    model: Model, u: np.ndarray, position: float, velocity: float, period: float = PERIOD
+) -> np.ndarray:
     """Position, velocity, reading and hidden states (N, 7) from a free run of the compiled kernel."""
     count = len(u)
     drive = kernel.Drive(
-        np.arange(count) * PERIOD, u, np.full(count, math.nan), False, kernel.known_vector(model.known),
+        np.arange(count) * period, u, np.full(count, math.nan), False, kernel.known_vector(model.known),
         np.zeros(4), model.longest_step,
     )  # fmt: skip
     p = kernel.vector(model.structure, dict(model.values))

@@ -137,19 +137,6 @@ def test_same_numbers_as_the_kernel(local: dict, tmp_path: Path, name: str, fmi:
 
 
 @pytest.mark.parametrize("fmi", FMI)
-@pytest.mark.parametrize("held", [2, 5, 7])
-def test_any_pattern_of_steps(local: dict, tmp_path: Path, held: int, fmi: int) -> None:
-    u = command(5121, held)
-    model = model_of(RIGID)
-    expected = by_kernel(model, u, 0.3, -1.0)
-    host = Host(local["rigid", fmi], tmp_path / "x")
-    host.start(position_start=0.3, velocity_start=-1.0)
-    got = host.replay(u, held)
-    at = np.minimum(np.arange(len(got)) * held, len(u) - 1)
-    assert differ(got, expected[at]) < 1e-10
-
-
-@pytest.mark.parametrize("fmi", FMI)
 def test_parameters_set_by_the_importer(local: dict, tmp_path: Path, fmi: int) -> None:
     changed = {
         "coulomb_friction": 2.0,

@@ -6,7 +6,8 @@ The command is held over a communication step and acts `delay` later. With a del
 stand in a line, oldest first, as pairs (time since the start at which it was given, value); `acting_command`
 is the one that acts (0 until the first arrives). At the start of a communication step its command joins the
 line; then, until the step is done: the head leaves the line and acts once its time + delay <= now, and the
-next piece ends where the new head will arrive or the step ends, whichever is first.
+next piece ends where the new head will arrive or the step ends, whichever is first. Moments within
+(1 - ROUND) * model.longest_step are the same moment.
 A full line makes room by joining the two neighbours that together lasted shortest (the first such pair), to
 their mean over that time.
 """
