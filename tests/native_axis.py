@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+from pathlib import Path
 
 import numpy as np
 
@@ -77,3 +79,13 @@ def by_kernel(
     x = kernel.start_state(position, velocity, 0.0)
     read, states = kernel.predict(drive, p, x, kernel.free_gains(count), keep_states=True)
     return np.column_stack([read if c is None else states[:, c] for c in COLUMNS])
+
+
+def abuse(folder: Path, fmi: int) -> subprocess.CompletedProcess[str]:
+    """What comes of calling the exported sources in a folder as no importer should, built with sanitizers."""
+    flags = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-DFMI={fmi}", "-I."]
+    flags += ["-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
+    source = Path(__file__).parent / "native" / "abuse.c"
+    subprocess.run(["gcc", *flags, "-o", "abuse", str(source), "-lm"], cwd=folder, check=True)
+    (folder / "misread").mkdir()
+    return subprocess.run(["./abuse", folder.as_uri()], cwd=folder, capture_output=True, text=True)

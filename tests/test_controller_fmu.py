@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from native_axis import abuse
 from test_control import axis
 
 from twin import compilers, controller_fmu, native, package
@@ -202,11 +203,7 @@ def test_abuse_under_sanitizers(loop: tuple[Model, Controller, Reference], tmp_p
     made = controller_fmu.compilable(loop[1])
     for name, text in {**native.sources(made, fmi), "parameters.txt": made.resources["parameters.txt"]}.items():
         (tmp_path / name).write_text(text)
-    flags = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsanitize=address,undefined"]
-    flags += ["-fno-sanitize-recover=all", f"-DFMI={fmi}", "-I."]
-    abuse = Path(__file__).parent / "native" / "abuse.c"
-    subprocess.run(["gcc", *flags, "-o", "abuse", str(abuse), "-lm"], cwd=tmp_path, check=True)
-    done = subprocess.run(["./abuse", tmp_path.as_uri()], cwd=tmp_path, capture_output=True, text=True)
+    done = abuse(tmp_path, fmi)
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
 
 

@@ -1,6 +1,7 @@
 /* Calls an exported axis or controller as no importer should, to be built with sanitizers together with its sources.
  *
- * abuse RESOURCES: prints the position after each phase; exits 1 where something was accepted that must not be.
+ * abuse RESOURCES: prints the position after each phase; exits 1 where something was accepted that must not be, or
+ * memory taken where none may be. Start values that cannot be read are written into the folder `misread`.
  */
 #if FMI == 2
 #include "fmi2.c"
@@ -37,6 +38,7 @@ static const fmi2CallbackFunctions callbacks = {hear, calloc, free, NULL, NULL};
 #define GET_STATES fmi2GetContinuousStates
 #define RATES fmi2GetDerivatives
 #define MARGINS fmi2GetEventIndicators
+#define NOMINALS fmi2GetNominalsOfContinuousStates
 #else
 #include "fmi3.c"
 typedef fmi3Instance Axis;
@@ -75,6 +77,7 @@ static double reached;
 #define GET_STATES fmi3GetContinuousStates
 #define RATES fmi3GetContinuousStateDerivatives
 #define MARGINS fmi3GetEventIndicators
+#define NOMINALS fmi3GetNominalsOfContinuousStates
 #endif
 
 static int failures;
@@ -87,9 +90,124 @@ static void expect(int held, const char *what)
     }
 }
 
+/* How often memory was taken, by whomever. */
+static unsigned taken;
+
+static void count_taken(const volatile void *memory, size_t size)
+{
+    (void)memory, (void)size;
+    ++taken;
+}
+
+static void count_nothing(const volatile void *memory) { (void)memory; }
+
+/* Of the address sanitizer's run-time; not every compiler brings its header. */
+int __sanitizer_install_malloc_and_free_hooks(void (*taking)(const volatile void *, size_t),
+                                              void (*giving)(const volatile void *));
+
+/* What the standard has and this FMU has not. */
+static void ask_for_what_is_not_offered(Axis a)
+{
+#if FMI == 2
+    fmi2Integer integer = 0;
+    fmi2Boolean flag = 0, finish = 0;
+    fmi2String text = "";
+    fmi2Real real = 0.0;
+    fmi2Status outcome = fmi2OK;
+    fmi2ValueReference r = 0;
+    expect(strcmp(fmi2GetVersion(), "2.0") == 0 && strcmp(fmi2GetTypesPlatform(), "default") == 0, "the version");
+    GOOD(fmi2SetDebugLogging(a, 1, 0, NULL));
+    GOOD(fmi2GetInteger(a, &r, 0, &integer));
+    BAD(fmi2GetInteger(a, &r, 1, &integer));
+    BAD(fmi2GetBoolean(a, &r, 1, &flag));
+    BAD(fmi2GetString(a, &r, 1, &text));
+    BAD(fmi2SetInteger(a, &r, 1, &integer));
+    BAD(fmi2SetBoolean(a, &r, 1, &flag));
+    BAD(fmi2SetString(a, &r, 1, &text));
+    BAD(fmi2GetDirectionalDerivative(a, &r, 1, &r, 1, &real, &real));
+    BAD(fmi2CancelStep(a));
+    BAD(fmi2SetRealInputDerivatives(a, &r, 1, &integer, &real));
+    BAD(fmi2GetRealOutputDerivatives(a, &r, 1, &integer, &real));
+    GOOD(fmi2GetRealStatus(a, fmi2LastSuccessfulTime, &real));
+    BAD(fmi2GetRealStatus(a, fmi2Terminated, &real));
+    GOOD(fmi2GetBooleanStatus(a, fmi2Terminated, &flag));
+    BAD(fmi2GetBooleanStatus(a, fmi2DoStepStatus, &flag));
+    BAD(fmi2GetStatus(a, fmi2DoStepStatus, &outcome));
+    BAD(fmi2GetIntegerStatus(a, fmi2DoStepStatus, &integer));
+    BAD(fmi2GetStringStatus(a, fmi2PendingStatus, &text));
+    GOOD(fmi2CompletedIntegratorStep(a, 1, &flag, &finish));
+#else
+    fmi3ValueReference r = 0;
+    fmi3Boolean flag = 0;
+    fmi3Float64 real = 0.0;
+    fmi3UInt64 counter = 0;
+    fmi3IntervalQualifier qualifier;
+    size_t size = 0;
+    fmi3Binary binary = NULL;
+    expect(strcmp(fmi3GetVersion(), "3.0") == 0, "the version");
+    GOOD(fmi3SetDebugLogging(a, 1, 0, NULL));
+    expect(fmi3InstantiateScheduledExecution("axis", TOKEN, "", 0, 1, NULL, hear, NULL, NULL, NULL) == NULL, "clocks");
+    expect(fmi3InstantiateScheduledExecution("axis", TOKEN, "", 0, 1, NULL, NULL, NULL, NULL, NULL) == NULL, "clocks");
+    BAD(fmi3EnterConfigurationMode(a));
+    BAD(fmi3ExitConfigurationMode(a));
+    BAD(fmi3EnterStepMode(a));
+#define NONE_OF(type)                                                                                                  \
+    {                                                                                                                  \
+        fmi3##type value = 0;                                                                                          \
+        GOOD(fmi3Get##type(a, &r, 0, &value, 0));                                                                      \
+        BAD(fmi3Get##type(a, &r, 1, &value, 1));                                                                       \
+        BAD(fmi3Set##type(a, &r, 1, &value, 1));                                                                       \
+    }
+    NONE_OF(Float32)
+    NONE_OF(Int8)
+    NONE_OF(UInt8)
+    NONE_OF(Int16)
+    NONE_OF(UInt16)
+    NONE_OF(Int32)
+    NONE_OF(UInt32)
+    NONE_OF(Int64)
+    NONE_OF(UInt64)
+    NONE_OF(Boolean)
+    NONE_OF(String)
+    BAD(fmi3GetBinary(a, &r, 1, &size, &binary, 1));
+    BAD(fmi3SetBinary(a, &r, 1, &size, &binary, 1));
+    BAD(fmi3GetClock(a, &r, 1, &flag));
+    BAD(fmi3SetClock(a, &r, 1, &flag));
+    BAD(fmi3GetShiftDecimal(a, &r, 1, &real));
+    BAD(fmi3SetShiftDecimal(a, &r, 1, &real));
+    BAD(fmi3SetIntervalDecimal(a, &r, 1, &real));
+    BAD(fmi3GetIntervalDecimal(a, &r, 1, &real, &qualifier));
+    BAD(fmi3GetShiftFraction(a, &r, 1, &counter, &counter));
+    BAD(fmi3SetShiftFraction(a, &r, 1, &counter, &counter));
+    BAD(fmi3SetIntervalFraction(a, &r, 1, &counter, &counter));
+    BAD(fmi3GetIntervalFraction(a, &r, 1, &counter, &counter, &qualifier));
+    BAD(fmi3ActivateModelPartition(a, r, 0.0));
+    BAD(fmi3GetDirectionalDerivative(a, &r, 1, &r, 1, &real, 1, &real, 1));
+    BAD(fmi3GetAdjointDerivative(a, &r, 1, &r, 1, &real, 1, &real, 1));
+    BAD(fmi3GetOutputDerivatives(a, &r, 1, (fmi3Int32[]){1}, &real, 1));
+    (void)fmi3GetNumberOfVariableDependencies(a, r, &size);
+#endif
+}
+
+/* Start values that cannot be read: no instance, and nothing left behind. */
+static void misread(void)
+{
+    static const char *const bad[] = {"nan\n", "", "\n", "x\n", "1e999\n", "1.0 2.0\n"};
+    for (size_t i = 0; i <= sizeof bad / sizeof *bad; ++i) {
+        FILE *file = fopen("misread/parameters.txt", "wb");
+        if (file == NULL) exit(2);
+        fprintf(file, "# start values\n\n%s", variables[0].name);
+        if (i < sizeof bad / sizeof *bad) fprintf(file, " %s", bad[i]);
+        for (int j = 0; i == sizeof bad / sizeof *bad && j < 5000; ++j) fputc("x\0%\xff"[j % 4], file);
+        fclose(file);
+        expect(NEW(TOKEN, i % 2 ? "misread" : "file:%6disread") == NULL, "start values that cannot be read are refused");
+    }
+}
+
 static double run(Axis a, double *t, double h, int steps)
 {
     double position = 0.0;
+    unsigned before = taken;
     for (int i = 0; i < steps; ++i) {
         GOOD(SET(a, 0, 80.0 * sin(3.0 * *t)));
         GOOD(STEP(a, *t, h));
@@ -97,6 +215,7 @@ static double run(Axis a, double *t, double h, int steps)
     }
     GOOD(GET(a, 1, &position));
     expect(isfinite(position), "the position is finite");
+    expect(taken == before, "no memory is taken in steps");
     return position;
 }
 
@@ -107,6 +226,7 @@ static void solve(const char *resources)
     Axis a = NEW_EXCHANGE(TOKEN, resources);
 #if EXCHANGE
     if (a == NULL) exit(2);
+    unsigned before = taken;
     BAD(TO_CONTINUOUS(a));
     BAD(UPDATE(a));
     GOOD(BEGIN(a, 0.0));
@@ -119,6 +239,9 @@ static void solve(const char *resources)
     BAD(SET_TIME(a, NAN));
     BAD(GET_STATES(a, x, CONTINUOUS_STATES + 1));
     BAD(MARGINS(a, margin, INDICATORS + 1));
+    GOOD(NOMINALS(a, rate, CONTINUOUS_STATES));
+    BAD(NOMINALS(a, rate, CONTINUOUS_STATES + 1));
+    BAD(SET_STATES(a, x, CONTINUOUS_STATES + 1));
     double t = 0.0, most[] = {1e-3, 1.0, 1e3, 1e300};
     for (int i = 0; i < 4000; ++i) {
         t += 1e-3;
@@ -142,6 +265,7 @@ static void solve(const char *resources)
     x[0] = NAN;
     BAD(SET_STATES(a, x, CONTINUOUS_STATES));
     GOOD(END(a));
+    expect(taken == before, "an outside solver's calls take no memory");
     FREE(a);
 #else
     (void)x, (void)rate, (void)margin;
@@ -157,6 +281,11 @@ static void solve(const char *resources)
 int main(int argc, char **argv)
 {
     double value = 0.0, t = 0.0;
+    setbuf(stdout, NULL);
+    __sanitizer_install_malloc_and_free_hooks(count_taken, count_nothing);
+    void *volatile some = malloc(1);
+    free(some);
+    expect(taken == 1, "it is seen when memory is taken");
     expect(NEW("{another}", NULL) == NULL, "a wrong token is refused");
     expect(NEW(NULL, NULL) == NULL, "no token is refused");
     char deep[9000];
@@ -168,6 +297,7 @@ int main(int argc, char **argv)
     FREE(a);
     a = NEW(TOKEN, argc > 1 ? argv[1] : NULL);
     if (a == NULL) return 2;
+    unsigned before = taken;
     BAD(STEP(a, 0.0, 0.01));
     BAD(READY(a));
     BAD(END(a));
@@ -194,6 +324,10 @@ int main(int argc, char **argv)
     BAD(STEP(a, NAN, 0.002));
     BAD(STEP(a, t, 1e300));
     GOOD(STEP(a, t, 0.0));
+    ask_for_what_is_not_offered(a);
+    for (unsigned r = 0; r < sizeof variables / sizeof *variables; ++r)
+        if (variables[r].settable == BEFORE_START) BAD(SET(a, r, 0.0));
+    expect(taken == before, "no memory is taken after an instance was made");
 
     void *saved = NULL, *other = NULL;
     size_t size = 0;
@@ -255,5 +389,6 @@ int main(int argc, char **argv)
     FREE(a);
     FREE(NULL);
     solve(argc > 1 ? argv[1] : NULL);
+    misread();
     return failures;
 }
