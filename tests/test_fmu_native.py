@@ -18,7 +18,7 @@ from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 from native_axis import NAMES, PERIOD, RIGID, abuse, by_kernel, command, model_of
 
-from twin import compilers, native
+from twin import compilers, native, package
 from twin.axis import EVERYTHING, Structure
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
@@ -263,6 +263,28 @@ def test_start_values_come_from_the_resources(local: dict, tmp_path: Path, fmi: 
     pack(folder, bad)
     with pytest.raises(Exception, match="nstantiat"):
         Host(bad, tmp_path / "z")
+
+
+@pytest.mark.parametrize("fmi", FMI)
+def test_an_update_is_seen_by_every_importer_and_touches_nothing_else(local: dict, tmp_path: Path, fmi: int) -> None:
+    model = model_of(RIGID, gravity_gain=2.5, delay=2.0**-7, eccentricity=0.1)
+    before = local["rigid", fmi].read_bytes()
+    fmu = package.update(local["rigid", fmi], model, tmp_path / "new.fmu")
+    assert local["rigid", fmi].read_bytes() == before
+    with zipfile.ZipFile(local["rigid", fmi]) as a, zipfile.ZipFile(fmu) as b:
+        assert a.namelist() == b.namelist()
+        changed = {name for name in a.namelist() if a.read(name) != b.read(name)}
+    assert changed == {"modelDescription.xml", "resources/model.toml", "resources/parameters.txt"}
+    assert validate_fmu(str(fmu)) == []
+    shown = {v.name: v.start for v in fmpy.read_model_description(str(fmu)).modelVariables}
+    assert {name: float(shown[name]) for name in model.values} == dict(model.values)
+    u = command(1001)
+    host = Host(fmu, tmp_path / "x")
+    host.start()
+    assert differ(host.replay(u), by_kernel(model, u, 0.0, 0.0)) < 1e-10
+    with pytest.raises(BadInput, match="the FMU has gravity, which the model lacks"):
+        package.update(fmu, model_of(RIGID.without("gravity")))
+    assert package.read_model(fmu).values == model.values
 
 
 @pytest.mark.parametrize("fmi", FMI)
