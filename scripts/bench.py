@@ -67,7 +67,7 @@ def bench_kernel() -> None:
     rng = np.random.default_rng(0)
     duty = np.repeat(rng.uniform(-60.0, 60.0, SAMPLES // 500), 500)
     stamps, unseen = np.arange(SAMPLES) * 0.002, np.full(SAMPLES, np.nan)
-    drive = kernel.Drive(stamps, duty, unseen, False, kernel.known_vector({}), np.zeros(4), 0.0020001)
+    drive = kernel.Drive(stamps, duty, unseen, False, kernel.known_vector({}), np.zeros(5), 0.0020001)
     p = kernel.vector(Structure.of(BASE), BASE_VALUES)
     x, gains, names = kernel.start_state(0.0, 0.0, 0.0), kernel.free_gains(SAMPLES), tuple(BASE_VALUES)
     slope = np.zeros((len(x), len(names)))

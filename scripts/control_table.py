@@ -58,7 +58,7 @@ def record(model: Model, seed: int) -> Recording:
     rng = np.random.default_rng(seed)
     time, duty = rich(60.0, rng, FREE)
     nothing = np.full(len(time), math.nan)
-    drive = Drive(time, duty, nothing, False, known_vector({}), np.zeros(4), model.longest_step)
+    drive = Drive(time, duty, nothing, False, known_vector({}), np.zeros(5), model.longest_step)
     p = vector(model.structure, dict(model.values))
     position, _ = predict(drive, p, start_state(0.4, 0.0, 0.0), free_gains(len(time)))
     return Recording("rig", time, duty, COUNT * np.round(position / COUNT), "%", "rad", COUNT)

@@ -96,7 +96,7 @@ def drive(
         np.full(len(time), np.nan),
         speed,
         kernel.known_vector(PAYLOAD if known is None else known),
-        np.zeros(4),
+        np.zeros(5),
         longest,
     )
 

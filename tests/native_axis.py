@@ -73,7 +73,7 @@ def by_kernel(
     count = len(u)
     drive = kernel.Drive(
         np.arange(count) * period, u, np.full(count, math.nan), False, kernel.known_vector(model.known),
-        np.zeros(4), model.longest_step,
+        np.zeros(5), model.longest_step,
     )  # fmt: skip
     p = kernel.vector(model.structure, dict(model.values))
     x = kernel.start_state(position, velocity, 0.0)

@@ -296,6 +296,20 @@ def test_cosim_writes_its_run(capsys, bench):
     assert np.max(np.abs(table["position"] - table["reference"])) < 0.1
 
 
+def test_the_rigs_own_loop_is_closed_where_asked(capsys, bench):
+    said = refused(capsys, bench, "simulate", "arm.fmu", "--log", "good.csv", "--closed")
+    assert "add [loop] to the rig file" in said
+    columns = '[time]\ncolumn = "t"\n[input]\ncolumn = "duty"\nunit = "%"\n[output]\ncolumn = "q"\nunit = "rad"\n'
+    (bench / "rig.toml").write_text(columns + '[loop]\nreference = "q"\nlaw = "P"\ngain = 2000.0\nlimit = 100.0\n')
+    code, _, _ = call(capsys, "simulate", "arm.fmu", "--log", "good.csv", "--closed", "--out", "sim.csv")
+    table = np.genfromtxt(bench / "sim.csv", delimiter=",", names=True)
+    recorded = np.genfromtxt(bench / "good.csv", delimiter=",", names=True)
+    assert code == 0 and np.max(np.abs(table["input"])) <= 100.0
+    assert not np.allclose(table["input"], recorded["duty"])  # the loop's own commands
+    assert call(capsys, "check", "arm.fmu", "--log", "good.csv", "--closed", "--max-nrmse", "15")[0] == 0
+    assert call(capsys, "check", "arm.fmu", "--log", "good.csv", "--closed", "--max-nrmse", "0.001")[0] == 1
+
+
 def test_two_stage_says_what_it_lacks(capsys, bench):
     said = refused(capsys, bench, "identify", "good.csv", "--method", "two-stage", "--out", "new.toml")
     assert "two-stage" in said and "joint" in said
@@ -309,7 +323,7 @@ def test_two_stage_says_what_it_lacks(capsys, bench):
 
 @pytest.fixture
 def known_answer(monkeypatch):
-    def diagnose(recordings, first, held=None, progress=None):
+    def diagnose(recordings, first, held=None, progress=None, closed=False):
         progress("searching", 0.5)
         diagnose.first = first
         return example()

@@ -159,7 +159,7 @@ def test_replay_equals_the_kernel_at_uneven_stamps_and_any_delay(made, tmp_path)
     fmu = package.update(made["rigid"], model, tmp_path / "late.fmu")
     seen = package.replay(fmu, recording, (0.3, 0.0))
     drive_ = kernel.Drive(
-        time, u, recording.output, False, kernel.known_vector(model.known), np.zeros(4), model.longest_step
+        time, u, recording.output, False, kernel.known_vector(model.known), np.zeros(5), model.longest_step
     )
     p = kernel.vector(model.structure, dict(model.values))
     truth, _ = kernel.predict(drive_, p, kernel.start_state(0.3, 0.0, 0.0), kernel.free_gains(len(time)))
@@ -174,7 +174,7 @@ def test_a_full_line_of_commands_keeps_their_mean(made):
     time = np.arange(int(1.0 / PERIOD) * fine) * PERIOD / fine
     u = 60.0 * np.sin(5.0 * time) + 20.0 * np.sign(np.sin(300.0 * time))
     drive_ = kernel.Drive(
-        time, u, np.full(len(u), np.nan), False, kernel.known_vector(model.known), np.zeros(4), model.longest_step
+        time, u, np.full(len(u), np.nan), False, kernel.known_vector(model.known), np.zeros(5), model.longest_step
     )
     p = kernel.vector(model.structure, dict(model.values))
     truth, _ = kernel.predict(drive_, p, kernel.start_state(0.0, 0.0, 0.0), kernel.free_gains(len(u)))
@@ -199,7 +199,7 @@ def test_parameters_act_between_steps_and_before_the_start(made):
     x = kernel.start_state(*truth[-1, :2], truth[-1, 3])
     x[3:6] = truth[-1, 4:]
     rest = kernel.Drive(
-        np.arange(600) * PERIOD, u[600:], np.full(600, np.nan), False, kernel.known_vector(second.known), np.zeros(4),
+        np.arange(600) * PERIOD, u[600:], np.full(600, np.nan), False, kernel.known_vector(second.known), np.zeros(5),
         second.longest_step,
     )  # fmt: skip
     p = kernel.vector(SIMPLE, dict(second.values))

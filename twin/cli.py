@@ -301,7 +301,7 @@ def _replays(args: argparse.Namespace) -> tuple[list[Recording], Rig, list[Any]]
         ran = []
         for i, r in enumerate(recordings):
             tell(f"simulating {r.name}", i / len(recordings))
-            ran.append(package.replay(args.fmu, pipeline.driven(r)))
+            ran.append(package.replay(args.fmu, pipeline.driven(r), closed=args.closed))
     return recordings, rig, ran
 
 
@@ -330,14 +330,16 @@ def _simulate(args: argparse.Namespace) -> int:
     if args.out is not None:
         from twin.files import put
 
-        put(args.out, _simulation_csv(recordings, ran))
+        put(args.out, _simulation_csv(recordings, ran, args.closed))
     answer = {"format": "twin-simulate/1", "fmu": str(args.fmu), "file": args.out and str(args.out), "fit": fits}
     _answer(args, [*_assumptions(rig), *_fit_lines(fits)], answer)
     return 0
 
 
-def _simulation_csv(recordings: Sequence[Recording], ran: Sequence[Any]) -> str:
-    """One row per stamp; with several recordings, their name in a first column."""
+def _simulation_csv(recordings: Sequence[Recording], ran: Sequence[Any], closed: bool) -> str:
+    """One row per stamp; with several recordings, their name in a first column. The input is the recorded one, or
+    where the loop is closed what it commanded.
+    """
     import csv
     import io
 
@@ -347,7 +349,7 @@ def _simulation_csv(recordings: Sequence[Recording], ran: Sequence[Any]) -> str:
     names = ["time", "input", "recorded", "position_measured", "velocity"]
     rows.writerow(["recording", *names] if several else names)
     for r, s in zip(recordings, ran, strict=True):
-        columns = (r.time, r.input, r.output, s.position_measured, s.velocity)
+        columns = (r.time, s.input if closed else r.input, r.output, s.position_measured, s.velocity)
         for row in zip(*(c.tolist() for c in columns), strict=True):
             cells = ["" if v != v else f"{v:.10g}" for v in row]
             rows.writerow([r.name, *cells] if several else cells)
@@ -384,7 +386,7 @@ def _diagnose(args: argparse.Namespace) -> int:
         pipeline.compile_kernel(tell)
         d = extend.diagnose(
             recordings, structure, {} if given is None else pipeline.held_of(given),
-            progress=lambda s, x: tell(s, 0.05 + 0.9 * x),
+            progress=lambda s, x: tell(s, 0.05 + 0.9 * x), closed=args.closed,
         )  # fmt: skip
         page = ""
         if args.report is not None:
@@ -502,6 +504,13 @@ def _add_log(command: argparse.ArgumentParser, *name: str, **more: Any) -> None:
     command.add_argument("--rig", type=Path, help=said)
 
 
+def _add_closed(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--closed", action="store_true",
+        help="simulate the rig's own loop ([loop] in the rig file) from the recorded reference, not the recorded input",
+    )  # fmt: skip
+
+
 def _add_structure(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--with", dest="more", action="append", default=[], metavar="EFFECT", help="add an effect to the first model"
@@ -574,11 +583,13 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     simulate = add("simulate", _simulate, "replay the recorded input through the FMU in FMPy, and compare")
     simulate.add_argument("fmu", type=Path, metavar="ARM.fmu")
     _add_log(simulate, "--log", required=True)
+    _add_closed(simulate)
     _add_out(simulate, "CSV", required=False, text="recorded and simulated at every stamp")
 
     diagnose = add("diagnose", _diagnose, "locate, name and model what a first model leaves out")
     _add_log(diagnose)
     _add_structure(diagnose)
+    _add_closed(diagnose)
     diagnose.add_argument("--model", type=Path, metavar="MODEL.toml", help="the first model; default: the base effects")
     _add_out(diagnose, "IMPROVED.toml")
     diagnose.add_argument("--report", type=Path, metavar="HTML", help="the report, one self-contained file")
@@ -614,6 +625,7 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     check = add("check", _check, "for CI: exit 1 when the twin no longer fits")
     check.add_argument("fmu", type=Path, metavar="ARM.fmu")
     _add_log(check, "--log", required=True)
+    _add_closed(check)
     check.add_argument("--max-nrmse", type=_percentage, required=True, metavar="PERCENT", help="of the recorded range")
 
     return parser, list(made)

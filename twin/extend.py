@@ -172,7 +172,7 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[tuple[
     return [r.part(0.0, t) for r, t in cut], cut
 
 
-def _free_run(fmu: Path, recording: Recording, since: float, timed: bool) -> np.ndarray:
+def _free_run(fmu: Path, recording: Recording, since: float, timed: bool, closed: bool) -> np.ndarray:
     """What the FMU says the sensor reads from `since` on, started there from the recorded state.
 
     Physics that depends on the time since the start must run from the start; the run is then moved to the
@@ -183,8 +183,9 @@ def _free_run(fmu: Path, recording: Recording, since: float, timed: bool) -> np.
         # A second ahead, in what was fitted, so that lag, gap and delay line are filled when it counts.
         begin = max(since - 1.0, 0.0)
         part = recording.part(begin, float(recording.time[-1]))
-        return _seen(package.replay(fmu, part), recording)[recording.time[recording.time >= begin] >= since]
-    ran = package.replay(fmu, recording)
+        ran = package.replay(fmu, part, closed=closed)
+        return _seen(ran, recording)[recording.time[recording.time >= begin] >= since]
+    ran = package.replay(fmu, recording, closed=closed)
     seen = _seen(ran, recording)[keep]
     if since > 0.0 and not recording.is_speed:
         first = np.flatnonzero(np.isfinite(recording.output[keep]))[0]
@@ -196,8 +197,12 @@ def _seen(ran: package.Replay, recording: Recording) -> np.ndarray:
     return np.asarray(ran.velocity if recording.is_speed else ran.position_measured)
 
 
-def traces(before: Model, after: Model, recordings: Sequence[tuple[Recording, float]], role: str) -> list[Trace]:
-    """Both models beside each recording, free-running through their FMUs."""
+def traces(
+    before: Model, after: Model, recordings: Sequence[tuple[Recording, float]], role: str, closed: bool = False
+) -> list[Trace]:
+    """Both models beside each recording, free-running through their FMUs, from the recorded input or, `closed`, under
+    the rig's own loop.
+    """
     timed = any(e in m.structure for m in (before, after) for e in _TIMED)
     out = []
     with tempfile.TemporaryDirectory() as folder:
@@ -207,7 +212,7 @@ def traces(before: Model, after: Model, recordings: Sequence[tuple[Recording, fl
                 known = {**model.known, **likelihood.known_quantities(recording)}
                 fmu = package.export(replace(model, known=known), Path(folder) / f"{name}.fmu", force=True)
                 driven = replace(recording, input=likelihood.command_of(recording))
-                runs.append(_free_run(fmu, driven, since, timed))
+                runs.append(_free_run(fmu, driven, since, timed, closed))
             keep = recording.time >= since
             out.append(Trace(recording.name, role, recording.time[keep], recording.output[keep], runs[0], runs[1]))
     return out
@@ -344,8 +349,12 @@ def diagnose(
     held: Mapping[str, float] | None = None,
     candidates: Sequence[str] = CANDIDATES,
     progress: Progress | None = None,
+    closed: bool = False,
 ) -> Diagnosis:
-    """Locate, name, model and show what a first model of these recordings leaves out. Raises BadInput."""
+    """Locate, name, model and show what a first model of these recordings leaves out. Raises BadInput.
+
+    Fits and choices use the recorded input; `closed` shows the free runs under the rig's own loop.
+    """
     held = dict(held or {})
     tell = progress or (lambda sentence, share: None)
     clock = time.perf_counter()
@@ -378,7 +387,7 @@ def diagnose(
     lap("locate")
     tell("checking on held-out data through the FMU", 0.9)
     whole = [(r, 0.0) for r in train]
-    shown = [*traces(before, after, whole, "train"), *traces(before, after, held_out, "holdout")]
+    shown = [*traces(before, after, whole, "train", closed), *traces(before, after, held_out, "holdout", closed)]
     white = [_white(identify.with_steps(found.cases, p.structure), p) for p in (found.first, found.last)]
     fit = {
         role: {

@@ -156,7 +156,7 @@ class Drive:
     measured: FloatArray  # (N,) output's unit, NaN where left out
     speed: bool  # the output is a speed
     known: FloatArray  # (len(KNOWN),)
-    law: FloatArray  # (4,) gains on reference, output, velocity and the limit; all zero where open
+    law: FloatArray  # (5,) gains on reference, output, velocity, largest and smallest command; all zero where open
     longest: float  # s, longest internal step
 
     @property

@@ -23,6 +23,7 @@ from scipy.optimize import minimize_scalar
 from twin import kernel
 from twin.axis import EVERYTHING, STATES, Structure
 from twin.kernel import INDEX, Drive
+from twin.loop import own_loop
 from twin.recording import Recording
 
 FloatArray = NDArray[np.float64]
@@ -85,39 +86,18 @@ def command_of(recording: Recording) -> FloatArray:
     return recording.input * np.where(np.isfinite(supply), supply, nominal) / nominal
 
 
-def _law(recording: Recording) -> FloatArray:
-    loop = recording.loop
-    if loop is None:
-        return np.zeros(4)
-    limit = math.inf if loop.limit is None else loop.limit
-    if loop.law == "P":
-        return np.array([loop.gain, loop.gain, 0.0, limit], dtype=float)
-    assert loop.kp is not None and loop.kv is not None
-    return np.array([loop.kv * loop.kp, loop.kv * loop.kp, loop.kv, limit])
-
-
-def _limited(time: FloatArray, reference: FloatArray, rate: float | None) -> FloatArray:
-    """The reference as the rig's own rate limiter passes it on."""
-    if rate is None:
-        return reference
-    limited = reference.copy()
-    for i in range(1, len(time)):
-        most = rate * (time[i] - time[i - 1])
-        limited[i] = limited[i - 1] + min(max(reference[i] - limited[i - 1], -most), most)
-    return limited
-
-
 def prepare(recording: Recording, structure: Structure, closed: bool = False, contact: float = 0.0) -> Case:
-    """Make a recording ready; `closed` simulates the rig's own loop from its reference."""
-    law = _law(recording) if closed else np.zeros(4)
-    command = command_of(recording)
+    """Make a recording ready; `closed` simulates the rig's own loop from its reference, or raises BadInput."""
+    time, command, measured, law = recording.time, command_of(recording), recording.output, np.zeros(5)
     if closed:
-        rate = recording.loop.reference_rate_limit if recording.loop else None
-        command = _limited(recording.time, recording.optional["reference"], rate)
+        loop = own_loop(recording)
+        time, command, law = loop.time, loop.reference, loop.law
+        measured = np.full(len(time), np.nan)
+        measured[loop.stamps] = recording.output
     drive = Drive(
-        time=np.ascontiguousarray(recording.time, dtype=float),
+        time=np.ascontiguousarray(time, dtype=float),
         command=np.ascontiguousarray(command, dtype=float),
-        measured=np.ascontiguousarray(recording.output, dtype=float),
+        measured=np.ascontiguousarray(measured, dtype=float),
         speed=recording.is_speed,
         known=kernel.known_vector(known_quantities(recording)),
         law=law,

@@ -24,6 +24,7 @@ from twin.archive import Fmu, open_fmu
 from twin.axis import KNOWN
 from twin.errors import BadInput
 from twin.files import check_free, put
+from twin.loop import own_loop
 from twin.model import Model, dumps, loads
 from twin.recording import Recording
 from twin.running import running
@@ -158,12 +159,15 @@ def update(fmu: Path, model: Model, out: Path | None = None) -> Path:
 
 # ---- replay ----
 
+_READS, _MOVES = OUTPUTS.index("position_measured"), OUTPUTS.index("velocity")
+
 
 @dataclass(frozen=True, eq=False)
 class Replay:
     """What the FMU did at the recording's stamps; all arrays have shape (N,)."""
 
     time: FloatArray  # s
+    input: FloatArray  # that drove the FMU from here on
     position: FloatArray
     velocity: FloatArray
     position_measured: FloatArray
@@ -212,11 +216,15 @@ def start_of(recording: Recording, window: float = 0.02) -> tuple[float, float]:
     return float(output.mean()), 0.0
 
 
-def replay(fmu: Path, recording: Recording, start: tuple[float, float] | None = None) -> Replay:
+def replay(
+    fmu: Path, recording: Recording, start: tuple[float, float] | None = None, closed: bool = False
+) -> Replay:
     """Drive the recorded input through the FMU in FMPy, one communication step from stamp to stamp.
 
-    `start` is position and velocity at the first stamp, from the recording's first readings where not given.
-    Known quantities of the recording are set. Raises BadInput where the FMU refuses or its results are NaN.
+    `closed` closes the rig's own loop around the FMU instead: the input is what that commands, from the recorded
+    reference and what the FMU's sensor reads, in steps as short as the loop's. `start` is position and velocity at the
+    first stamp, from the recording's first readings where not given. Known quantities of the recording are set.
+    Raises BadInput where the FMU refuses or its results are NaN.
     """
     opened = open_fmu(fmu)
     names = {node.get("name") for node in opened.description.findall("ModelVariables/*")}
@@ -230,14 +238,24 @@ def replay(fmu: Path, recording: Recording, start: tuple[float, float] | None = 
     position, velocity = start_of(recording) if start is None else start
     values = {"position_start": float(position), "velocity_start": float(velocity)}
     values |= {name: float(value) for name, value in recording.known.items() if name in KNOWN and name in names}
-    time, command = recording.time.tolist(), recording.input.tolist()
+    loop = own_loop(recording) if closed else None
+    if loop is None:
+        time, command = recording.time.tolist(), recording.input.tolist()
+    else:
+        time, command = loop.time.tolist(), [0.0] * len(loop.time)
     seen = np.empty((len(time), len(OUTPUTS)))
     with running(opened, inputs, OUTPUTS) as instance:
         instance.start(values, time[0])
         seen[0] = instance.read()
         for i in range(len(time) - 1):
+            if loop is not None:
+                command[i] = loop.command(i, seen[i, _READS], seen[i, _MOVES])
             seen[i + 1] = instance.step(time[i], time[i + 1] - time[i], command[i : i + 1])
     if not np.isfinite(seen).all():
         at = time[int(np.argmin(np.isfinite(seen).all(axis=1)))]
         raise BadInput(f"{fmu}: the simulation is no longer a number at {at:g} s: check the parameters")
-    return Replay(recording.time, *(np.ascontiguousarray(column) for column in seen.T))
+    driven = np.array(command)
+    if loop is not None:
+        driven[-1] = loop.command(len(time) - 1, seen[-1, _READS], seen[-1, _MOVES])
+        seen, driven = seen[loop.stamps], driven[loop.stamps]
+    return Replay(recording.time, driven, *(np.ascontiguousarray(column) for column in seen.T))

@@ -82,7 +82,7 @@ def compile_kernel(tell: Progress) -> None:
     count = 8
     ramp = np.arange(count, dtype=float)
     drive = kernel.Drive(
-        np.arange(count, dtype=float), ramp, ramp.copy(), False, kernel.known_vector({}), np.zeros(4), 0.5
+        np.arange(count, dtype=float), ramp, ramp.copy(), False, kernel.known_vector({}), np.zeros(5), 0.5
     )
     everything = identify.base_structure()
     p = kernel.vector(everything, {q.name: q.start for q in everything.parameters})

@@ -6,7 +6,8 @@ generated functions, whose names it uses freely.
 `predict` runs the model in innovation form. At each stamp it notes what the sensor should read, then moves the
 state towards what it did read by the gains of a Kalman filter; gains of zero give a free run. The command is
 held from stamp to stamp and acts `delay` later; pieces between edges are split so that none exceeds `longest`.
-`closed` simulates the rig's own loop: command = r * reference - y * output - v * velocity, clipped at `limit`.
+`closed` simulates the rig's own loop: command = r * reference - y * output - v * velocity, raised to
+the smallest that the loop gives, clipped at the largest.
 """
 
 # mypy: ignore-errors
@@ -37,6 +38,10 @@ def predict(time, command, measured, gains, speed, closed, law, x, p, k, longest
                 states[i, s] = x[s]
         if closed:
             u = law[0] * command[i] - law[1] * reading - law[2] * x.velocity
+            if u > 0.0 and u < law[4]:
+                u = law[4]
+            elif u < 0.0 and u > -law[4]:
+                u = -law[4]
             command[i] = min(max(u, -law[3]), law[3])
         error = measured[i] - reading
         if error == error:
@@ -103,10 +108,14 @@ def predict_t(
         put(slopes, i * slopes.shape[1] + first, d_reading)
         if closed:
             u = law[0] * command[i] - law[1] * reading - law[2] * x.velocity
-            command[i] = min(max(u, -law[3]), law[3])
             put(commands, i, -law[1] * d_reading - law[2] * row(xd, 1))
-            if u > law[3] or u < -law[3]:
+            if u > law[3] or u < -law[3] or (u < law[4] and u > -law[4]):
                 put(commands, i, zero())
+            if u > 0.0 and u < law[4]:
+                u = law[4]
+            elif u < 0.0 and u > -law[4]:
+                u = -law[4]
+            command[i] = min(max(u, -law[3]), law[3])
         error = measured[i] - reading
         if error == error:
             x.position = x.position + gains[i, 0] * error
