@@ -378,6 +378,9 @@ def test_model_exchange_holds_exactly(tmp_path: Path, no_zig: None, fmi: int) ->
 
 @pytest.mark.parametrize("fmi", FMI)
 def test_model_exchange_only_where_it_can_be_said(local: dict, fmi: int) -> None:
+    for structure, why in ((EVERYTHING, "dead time"), (Structure.of(BASE), "rigid contact")):
+        assert native.offers(structure).startswith(f"co-simulation only: {why}")
+    assert native.offers(SOLVED) == "co-simulation and model exchange"
     for name in ("elastic", "rigid"):  # dead time; dead time and rigid contact
         description = fmpy.read_model_description(str(local[name, fmi]))
         assert description.modelExchange is None and description.coSimulation is not None

@@ -237,8 +237,8 @@ def _export(args: argparse.Namespace) -> int:
         return 0
     found = model.loads(text, str(args.model))
     designed = None if args.controller is None else controller.read(args.controller)
-    _export_axis(args, found)
-    said = [f"{args.out}: FMI {args.fmi} co-simulation ({args.target}) of {found.structure}."]
+    offers = _export_axis(args, found)
+    said = [f"{args.out}: FMI {args.fmi} ({args.target}) of {found.structure}, for {offers}."]
     if args.ssv is not None:
         ssp.write_ssv(found, args.ssv, args.force)
         said.append(f"{args.ssv}: the parameters as an SSP set.")
@@ -256,15 +256,17 @@ def _export(args: argparse.Namespace) -> int:
     return 0
 
 
-def _export_axis(args: argparse.Namespace, found: Model) -> None:
+def _export_axis(args: argparse.Namespace, found: Model) -> str:
+    """Write the FMU; what it offers."""
     from twin import native, package
 
-    if args.target == "native":
-        with _progress(args) as tell:
-            tell("compiling the FMU", 0.0)
+    with _progress(args) as tell:
+        tell("compiling the FMU", 0.0)
+        if args.target == "native":
             native.export_native(found, args.out, args.fmi, args.force)
-    else:
+            return native.offers(found.structure)
         package.export(found, args.out, args.force)
+        return "co-simulation"
 
 
 def _export_controller(args: argparse.Namespace, made: Controller, out: Path) -> None:

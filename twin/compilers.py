@@ -18,7 +18,10 @@ from pathlib import Path
 from twin.errors import BadInput
 
 #: Nothing that changes a number: no fused operations; a root is an instruction, since nobody asks for errno.
-OPTIONS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden")
+OPTIONS = (
+    "-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",
+    "-Werror=implicit-function-declaration",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

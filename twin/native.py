@@ -62,6 +62,14 @@ def _behind(model: Model) -> tuple[str, ...]:
     return exchange.BEHIND if exchange.offered(model.structure) else ()
 
 
+def offers(structure: Structure) -> str:
+    """The kinds of FMI that a native FMU of this structure offers, and why not the other."""
+    if exchange.offered(structure):
+        return "co-simulation and model exchange"
+    what = "dead time" if "input_delay" in structure else "rigid contact across a gap"
+    return f"co-simulation only: {what} is not for an outside solver"
+
+
 def solver(model: Model) -> Solver:
     """What model exchange adds behind the variables; nothing where it is not offered."""
     if not exchange.offered(model.structure):

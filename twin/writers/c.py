@@ -115,7 +115,9 @@ def functions(tree: ast.Module, *roots: str) -> str:
 
 def library(structure: Structure) -> str:
     """C text of a library that moves an axis by `count` internal steps of h: its one function is `advance`."""
-    return f"""{functions(module(structure), "step")}
+    return f"""#include <math.h>
+
+{functions(module(structure), "step")}
 #if defined __GNUC__
 __attribute__((visibility("default")))
 #endif
