@@ -2,6 +2,7 @@
 
     python scripts/bench.py            # all of it
     python scripts/bench.py kernel     # a part: kernel, fmu or commands
+    python scripts/bench.py long       # time and memory on recordings of up to an hour; not among "all of it"
 """
 
 from __future__ import annotations
@@ -107,7 +108,8 @@ def bench_commands() -> None:
 
 if __name__ == "__main__":
     from fmu_cost import bench_fmu
+    from long_recording import bench_long
 
-    parts = {"kernel": bench_kernel, "fmu": bench_fmu, "commands": bench_commands}
-    for part in sys.argv[1:] or parts:
+    parts = {"kernel": bench_kernel, "fmu": bench_fmu, "commands": bench_commands, "long": bench_long}
+    for part in sys.argv[1:] or ("kernel", "fmu", "commands"):
         parts[part]()

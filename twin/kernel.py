@@ -15,7 +15,7 @@ import re
 import sys
 import tempfile
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -196,16 +196,17 @@ def _aligned(*shape: int) -> FloatArray:
     return room[first : first + count].reshape(shape)
 
 
-def predict_with_slopes(
-    drive: Drive, p: FloatArray, x: FloatArray, slope: FloatArray, names: tuple[str, ...], gains: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """As `predict`, with the derivative (N, n) with respect to the named parameters.
+def in_pieces(
+    drive: Drive, p: FloatArray, x: FloatArray, slope: FloatArray, names: tuple[str, ...], gains: FloatArray, most: int
+) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+    """As `predict`, with the derivative with respect to the named parameters, at most so many stamps at a time.
 
-    `slope` (7, n) is the derivative of the initial state.
+    `slope` (7, n) is the derivative of the initial state. Yields the stamps, what the sensor should read there (m,)
+    and the derivative (m, n).
     """
     n, count = len(names), len(drive.time)
     blocks = max(-(-n // WIDTH), 1)
-    predicted, slopes = np.empty(count), _aligned(count, blocks, WIDTH)
+    carried = []
     for block in range(blocks):
         here = names[block * WIDTH : (block + 1) * WIDTH]
         seed, start = _aligned(len(INDEX), WIDTH), _aligned(len(STATES), WIDTH)
@@ -214,12 +215,26 @@ def predict_with_slopes(
         for j, name in enumerate(here):
             if name in INDEX:
                 seed[INDEX[name], j] = 1.0
-        _serving(p).predict_t(
-            drive.time, drive.command.copy() if drive.closed else drive.command, drive.measured, gains, drive.speed,
-            drive.closed, drive.law, x.copy(), start, p, seed, drive.known,
-            drive.longest, predicted, slopes, block, _aligned(count if drive.closed else 1, WIDTH),
-        )  # fmt: skip
-    return predicted, slopes.reshape(count, -1)[:, :n]
+        command = drive.command.copy() if drive.closed else drive.command
+        carried.append((x.copy(), start, seed, command, _aligned(count if drive.closed else 1, WIDTH)))
+    serving = _serving(p)
+    for begin in range(0, count, most):
+        room = min(most, count - begin)
+        predicted, slopes = np.empty(room), _aligned(room, blocks, WIDTH)
+        for block, (state, d_state, seed, command, d_command) in enumerate(carried):
+            serving.predict_t(
+                drive.time, command, drive.measured, gains, drive.speed, drive.closed, drive.law, state, d_state, p,
+                seed, drive.known, drive.longest, begin, predicted, slopes, block, d_command,
+            )  # fmt: skip
+        yield slice(begin, begin + room), predicted, slopes.reshape(room, -1)[:, :n]
+
+
+def predict_with_slopes(
+    drive: Drive, p: FloatArray, x: FloatArray, slope: FloatArray, names: tuple[str, ...], gains: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """All of `in_pieces` at once: (N,) and (N, n)."""
+    _, predicted, slopes = next(in_pieces(drive, p, x, slope, names, gains, len(drive.time)))
+    return predicted, slopes
 
 
 def kalman(

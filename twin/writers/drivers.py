@@ -78,11 +78,13 @@ def predict(time, command, measured, gains, speed, closed, law, x, p, k, longest
 
 
 def predict_t(
-    time, command, measured, gains, speed, closed, law, x, xd, p, pd, k, longest, predicted, slopes, first, commands
+    time, command, measured, gains, speed, closed, law, x, xd, p, pd, k, longest, begin, predicted, slopes, first,
+    commands,
 ):
-    """As `predict`, with the derivative of what the sensor should read in row `i * stride + first` of `slopes`.
+    """As `predict` from stamp `begin` on for as many as `predicted` has room, with the derivative of what the sensor
+    should read in row `i * stride + first` of `slopes`. `x` and `xd` are left as they are for the next stamp.
 
-    `slopes` is (N, stride, 8), `commands` (N or 1, 8) holds the derivative of the loop's own command.
+    `slopes` is (room, stride, 8), `commands` (N or 1, 8) holds the derivative of the loop's own command.
     """
     count = len(time)
     x = numbers(x)
@@ -97,15 +99,15 @@ def predict_t(
     if has.input_delay:
         delay = p.delay
         d_delay = row(pd, index.delay)
-    for i in range(count):
+    for i in range(begin, begin + len(predicted)):
         offset, d_offset = sensor_t(x.position, row(xd, 0), x, xd, p, pd, k)
         reading = x.position + offset
         d_reading = row(xd, 0) + d_offset
         if speed:
             reading = x.velocity
             d_reading = row(xd, 1)
-        predicted[i] = reading
-        put(slopes, i * slopes.shape[1] + first, d_reading)
+        predicted[i - begin] = reading
+        put(slopes, (i - begin) * slopes.shape[1] + first, d_reading)
         if closed:
             u = law[0] * command[i] - law[1] * reading - law[2] * x.velocity
             put(commands, i, -law[1] * d_reading - law[2] * row(xd, 1))

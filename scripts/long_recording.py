@@ -1,0 +1,92 @@
+"""Time and memory that `twin identify` takes on recordings of up to an hour at 2 ms, made with the model's own kernel.
+
+    python scripts/long_recording.py                 # 4, 15 and 60 minutes
+    python scripts/long_recording.py --minutes 30
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from twin import kernel, model
+from twin.axis import Structure
+from twin.effects.catalogue import BASE
+
+PERIOD = 0.002
+COUNTS = 10000  # per revolution
+VALUES = {
+    "input_gain": 0.3, "viscous_friction": 2.0, "dead_band_forward": 4.0, "dead_band_reverse": 5.0,
+    "backlash_gap": 0.03, "motor_share": 0.25, "friction_share": 0.7, "tooth_frequency": 90.0, "tooth_damping": 0.3,
+}  # fmt: skip
+RIG = f"""[time]
+sample_time = {PERIOD}
+[input]
+column = "duty"
+unit = "%"
+[output]
+column = "counts"
+unit = "count"
+counts_per_revolution = {COUNTS}
+"""
+
+
+def record(folder: Path, minutes: float) -> Path:
+    """A recording of steps under a noisy drive, and its rig file beside it."""
+    rng = np.random.default_rng(0)
+    count = int(60.0 * minutes / PERIOD)
+    structure = Structure.of([*BASE, "tooth_compliance"])
+    duty = np.round(np.repeat(rng.uniform(-40.0, 40.0, count // 500 + 1), 500)[:count], 2)
+    drive = kernel.Drive(
+        PERIOD * np.arange(count), duty + 0.3 * rng.standard_normal(count), np.full(count, np.nan), False,
+        kernel.known_vector({}), np.zeros(5), PERIOD / structure.substeps * 1.000001,
+    )  # fmt: skip
+    start = kernel.start_state(0.0, 0.0, 0.0)
+    position, _ = kernel.predict(drive, kernel.vector(structure, VALUES), start, kernel.free_gains(count))
+    path = folder / "recording.csv"
+    with path.open("w", encoding="utf-8") as out:
+        out.write("duty,counts\n")
+        for u, y in zip(duty.tolist(), np.round(position * COUNTS / (2.0 * np.pi)).astype(int).tolist(), strict=True):
+            out.write(f"{u},{y}\n")
+    (folder / "rig.toml").write_text(RIG, encoding="utf-8")
+    return path
+
+
+def bench_long(minutes: Sequence[float] = (4.0, 15.0, 60.0)) -> None:
+    """Print samples, processor time, peak memory and the worst error of the base parameters; children one by one."""
+    for length in minutes:
+        with tempfile.TemporaryDirectory() as name:
+            path = record(Path(name), length)
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
+            code = (
+                "import resource, sys; from twin.cli import main; done = main(sys.argv[1:]); "
+                "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024); sys.exit(done)"
+            )
+            command = [sys.executable, "-c", code, "identify", str(path), "--out", f"{name}/model.toml", "--quiet"]
+            done = subprocess.run(
+                command, env={**os.environ, "OMP_NUM_THREADS": "1"}, check=True, capture_output=True, text=True
+            )
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            found = model.read(Path(name) / "model.toml").values
+            worst = max((abs(found[n] / v - 1.0), n) for n, v in VALUES.items())
+        seconds = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+        samples = int(60.0 * length / PERIOD)
+        print(
+            f"twin identify, {length:3.0f} min, {samples:8d} samples: {seconds:6.0f} s of processor, peak memory "
+            f"{done.stdout.split()[-1]:>5} MB; furthest from its truth: {worst[1]}, {100.0 * worst[0]:.2g} %",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--minutes", type=float, action="append", help="may be given more than once")
+    bench_long(parser.parse_args().minutes or (4.0, 15.0, 60.0))

@@ -1,0 +1,67 @@
+"""A recording that is too long for its slopes to be held at once: piece by piece, the same numbers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from axis_runs import run, steps
+
+from twin import identify, kernel, likelihood
+from twin.axis import Structure
+from twin.likelihood import Case
+from twin.recording import Loop, Recording
+
+STRUCTURE = Structure.of(
+    ["inertia", "viscous_friction", "dead_band", "backlash", "coulomb_friction", "motor_lag", "input_delay"]
+)
+VALUES = {
+    "input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 4.0, "dead_band_reverse": 5.0,
+    "backlash_gap": 0.02, "motor_share": 0.3, "friction_share": 0.6, "coulomb_friction": 0.5, "lag_time": 0.02,
+    "delay": 0.013,
+}  # fmt: skip
+FREE = tuple(VALUES)
+
+
+def made(count: int = 6000) -> Recording:
+    rng = np.random.default_rng(2)
+    time, command = 0.002 * np.arange(count), steps(rng, count, 250, 40.0)
+    y, _ = run(STRUCTURE, VALUES, time, command + 0.3 * rng.standard_normal(count))
+    output = np.round(y / 6e-4) * 6e-4
+    output[1500:1800] = np.nan
+    return Recording("made", time, command, output, "%", "rad", resolution=6e-4)
+
+
+@pytest.mark.parametrize("most", [1, 7, 1600, 5999, 6000, 10**6])
+@pytest.mark.parametrize("closed", [False, True])
+def test_slopes_in_pieces_are_those_of_the_whole(most: int, closed: bool) -> None:
+    loop = Loop("P", gain=150.0, limit=60.0)
+    recording = replace(made(), loop=loop, optional={"reference": np.sin(np.arange(6000) / 500.0)})
+    case = likelihood.prepare(recording, STRUCTURE, closed=closed)
+    p = kernel.vector(STRUCTURE, VALUES)
+    gains, _ = likelihood.gains_for(case, 2.0, likelihood.density_of(case, 0.1))
+    given = (case.drive, p, kernel.start_state(*case.start, 0.0), np.zeros((7, len(FREE))), FREE, gains)
+    predicted, slopes = kernel.predict_with_slopes(*given)
+    parts = list(kernel.in_pieces(*given, most))
+    assert [at.start for at, _, _ in parts] == list(range(0, 6000, most))
+    assert np.array_equal(np.concatenate([one for _, one, _ in parts]), predicted)
+    assert np.array_equal(np.concatenate([one for _, _, one in parts]), slopes)
+    assert np.ptp(slopes) > 0.0
+
+
+@pytest.mark.parametrize("ahead", [False, True])
+def test_a_point_is_the_same_in_pieces(monkeypatch: pytest.MonkeyPatch, ahead: bool) -> None:
+    def found(cases: list[Case]) -> list[np.ndarray]:
+        point = likelihood.evaluate(cases, STRUCTURE, VALUES, density, FREE)
+        spread = likelihood.robust_covariance(cases, point)
+        return [np.array([point.deviance, point.scale]), point.normal, point.gradient, spread]
+
+    cases = identify.prepare([made(), made(3000)], STRUCTURE)
+    density = likelihood.density_of(cases[0], 0.05)
+    if ahead:
+        cases = [likelihood.ahead(c, density, 1.0) for c in cases]
+    whole = found(cases)
+    monkeypatch.setattr(likelihood, "AT_ONCE", 777)
+    for one, other in zip(found(cases), whole, strict=True):
+        assert np.abs(one - other).max() <= 1e-9 * np.abs(other).max()
