@@ -67,6 +67,7 @@ class Axis(Fmi2Slave):
     """One axis. `v` holds every variable by value reference, `x` the states as the stepper wants them."""
 
     hold = list
+    most = 1e6  # length of a step, s
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
@@ -178,6 +179,8 @@ class Axis(Fmi2Slave):
             return f"input {self.variables[0]['name']} is {self.v[0]}: set a finite number"
         if not finite(time + length) or length < 0.0:
             return "the time is not finite or the step is negative: steps go forward"
+        if length > self.most:
+            return "the step is too long: give shorter ones"
         if self.clock is not None and abs(time - self.clock) > 0.01 * length + 1e-9:
             if time < self.clock:
                 return f"time goes back, the last step ended at {self.clock} s: go on there or restore a state"

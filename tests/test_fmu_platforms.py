@@ -51,9 +51,12 @@ def test_each_is_what_its_folder_says(unpacked: tuple[Path, int]) -> None:
         elf = library(folder, place).read_bytes()
         assert elf[:5] == b"\x7fELF\x02" and struct.unpack_from("<HH", elf, 16) == (3, machine)
         assert max(int(v) for v in re.findall(rb"GLIBC_2\.(\d+)", elf)) <= 17
-    pe = library(folder, FOLDERS[fmi]["windows"]).read_bytes()
+    dll = library(folder, FOLDERS[fmi]["windows"])
+    pe = dll.read_bytes()
     header = struct.unpack_from("<I", pe, 0x3C)[0]
     assert pe[header : header + 6] == b"PE\0\0\x64\x86"
+    needed = {name.lower() for name in re.findall(rb"[\w.-]+\.dll", pe)} - {dll.name.encode()}
+    assert needed and all(name == b"kernel32.dll" or name.startswith(b"api-ms-win-crt-") for name in needed)
     machines = {0x01000007: "x86_64", 0x0100000C: "aarch64"}
     if fmi == 3:
         for kind, name in machines.items():

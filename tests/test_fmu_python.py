@@ -322,6 +322,7 @@ def test_what_cannot_be_done_is_refused_and_leaves_the_axis_as_it_was(made):
         assert "jumps ahead" in refused(instance, 2 * at, PERIOD, 1.0)
         assert "negative" in refused(instance, at, -PERIOD, 1.0)
         assert "not finite" in refused(instance, at, np.nan, 1.0)
+        assert "too long" in refused(instance, at, 1e12, 1.0)
         instance._set({"viscous_friction": -1.0})
         assert "viscous_friction" in refused(instance, at, PERIOD, 1.0)
         instance._set({"viscous_friction": np.nan})
