@@ -1,7 +1,7 @@
 """How fast: the kernel against a C loop written by hand, a step of the FMU, and the commands from end to end.
 
     python scripts/bench.py            # all of it
-    python scripts/bench.py kernel     # a part: kernel, fmu or commands
+    python scripts/bench.py kernel     # a part: kernel, fmu, identify or commands
     python scripts/bench.py long       # time and memory on recordings of up to an hour; not among "all of it"
 """
 
@@ -30,6 +30,7 @@ BASE_VALUES = {
     "friction_share": 0.7,
 }
 SAMPLES = 30000
+SHIPPED = ROOT / "models" / "shipped" / "recording.csv"
 
 
 def best(work: Callable[[], object], repeats: int = 15) -> float:
@@ -90,16 +91,37 @@ def bench_kernel() -> None:
         print(f"  kernel, {len(names)} exact slopes     {1e3 * slopes:7.2f} ms   (no C compiler to compare with)")
 
 
+def bench_identify() -> None:
+    """Print where the time of an identification goes: without what the shipped recording hides, and with it."""
+    from twin import identify, pipeline
+    from twin.recording import load
+
+    recordings, rig = load([SHIPPED], SHIPPED.with_name("rig.toml"))
+    pipeline.compile_kernel(lambda sentence, share: None)
+    bare = bare_loop(recordings[0].input)
+    first = pipeline.first_structure(rig, (), ())
+    for structure in (first, first.with_("motor_lag")):
+        laps: list[tuple[str, float, float]] = []
+
+        def lap(stage: str, share: float, laps: list[tuple[str, float, float]] = laps) -> None:
+            laps.append((stage, time.perf_counter(), time.process_time()))
+
+        identify.identify(recordings, structure, progress=lap)
+        lap("in all", 1.0)
+        print(f"identify, {len(recordings[0].time)} samples, {structure}:        s    CPU-s")
+        ends = [*laps[1:], laps[-1]]
+        for (stage, *begun), (_, *ended) in zip(laps, ends, strict=True):
+            wall, cpu = (e - b for b, e in zip(laps[0][1:] if stage == "in all" else begun, ended, strict=True))
+            ratio = f"   {cpu / bare[0]:.0f} x the bare C loop" if bare and stage == "in all" else ""
+            print(f"  {stage:40} {wall:6.2f}   {cpu:6.2f}{ratio}")
+
+
 def bench_commands() -> None:
     """Print how long the commands take on the recording that ships with the project."""
-    recording = ROOT / "models" / "shipped" / "recording.csv"
-    if not recording.exists():
-        print("no recording to identify yet")
-        return
-    rig = recording.with_name("rig.toml")
+    rig = SHIPPED.with_name("rig.toml")
     with tempfile.TemporaryDirectory() as folder:
         for name, extra in (("identify", ["--out", f"{folder}/model.toml"]), ("run", ["--out", f"{folder}/out"])):
-            command = [sys.executable, "-m", "twin.cli", name, str(recording), "--rig", str(rig), "--quiet", *extra]
+            command = [sys.executable, "-m", "twin.cli", name, str(SHIPPED), "--rig", str(rig), "--quiet", *extra]
             start = time.perf_counter()
             done = subprocess.run(command, env={**os.environ, "OMP_NUM_THREADS": "1"}, check=False)
             state = "" if done.returncode == 0 else f" (exit {done.returncode})"
@@ -110,6 +132,6 @@ if __name__ == "__main__":
     from fmu_cost import bench_fmu
     from long_recording import bench_long
 
-    parts = {"kernel": bench_kernel, "fmu": bench_fmu, "commands": bench_commands, "long": bench_long}
-    for part in sys.argv[1:] or ("kernel", "fmu", "commands"):
-        parts[part]()
+    parts = {"kernel": bench_kernel, "fmu": bench_fmu, "identify": bench_identify, "commands": bench_commands}
+    for part in sys.argv[1:] or parts:
+        (parts | {"long": bench_long})[part]()

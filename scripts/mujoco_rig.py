@@ -486,7 +486,7 @@ def _contact(stiffness: float, damping: float, mobility: float, kind: str) -> st
     return f'solref{kind}="{reference}" solimp{kind}="0.01 0.01 0.001 0.5 2"'
 
 
-def build(rig: Rig, parameters: dict[str, Parameters]) -> Machine:
+def build(rig: Rig, parameters: dict[str, Parameters], step: float = STEP) -> Machine:
     """Bodies, teeth, stops and coupling as MuJoCo elements; the laws above come in step by step."""
     share, motor_part = rig.motor_share, rig.motor_friction_share
     link = 1.0 - share
@@ -507,12 +507,12 @@ def build(rig: Rig, parameters: dict[str, Parameters]) -> Machine:
                 stop["stiffness"], 2.0 * stop["damping"] * rate, 1.0 / own, "limit"
             )
         # MuJoCo's implicit damping divides by (J + h d): h d / 2 taken off J makes it the trapezoidal rule.
-        armature = own - BODY_INERTIA - 0.5 * STEP * drag
+        armature = own - BODY_INERTIA - 0.5 * step * drag
         bodies.append(
             f'<body><inertial pos="0 0 0" mass="1" diaginertia="{" ".join([str(BODY_INERTIA)] * 3)}"/>'
             f'<joint name="{name}" axis="0 0 1" armature="{armature!r}" damping="{drag!r}" '
             # Dry friction stops a body within one step; it creeps at 1e-4 h of the acceleration it holds.
-            f'solreffriction="0 {-1.0 / STEP!r}" solimpfriction="0.9999 0.9999 0.001 0.5 2" {limit}/></body>'
+            f'solreffriction="0 {-1.0 / step!r}" solimpfriction="0.9999 0.9999 0.001 0.5 2" {limit}/></body>'
         )
     after = "gear" if elastic else "link"
     mobility = 1.0 / share + 1.0 / inertia[-1]
@@ -530,7 +530,7 @@ def build(rig: Rig, parameters: dict[str, Parameters]) -> Machine:
             f'<joint joint="gear" coef="1"/><joint joint="link" coef="-1"/></fixed>'
         )
     text = (
-        f'<mujoco><compiler angle="radian"/><option timestep="{STEP!r}" gravity="0 0 0" integrator="Euler" '
+        f'<mujoco><compiler angle="radian"/><option timestep="{step!r}" gravity="0 0 0" integrator="Euler" '
         'iterations="30" tolerance="1e-10"><flag contact="disable" sensor="disable" equality="disable" '
         f'actuation="disable"/></option><worldbody>{"".join(bodies)}</worldbody>'
         f"<tendon>{''.join(tendons)}</tendon></mujoco>"
@@ -538,7 +538,7 @@ def build(rig: Rig, parameters: dict[str, Parameters]) -> Machine:
     return Machine(mujoco.MjModel.from_xml_string(text), inertia, stiffness, damping)
 
 
-def _mean_duty(time: Array, duty: Array, at: Array, delay: float) -> Array:
+def _mean_duty(time: Array, duty: Array, at: Array, delay: float, step: float) -> Array:
     """Mean of the held duty over the step centred on each instant of `at`.
 
     The engine's velocities live between its positions, so a kick stands for half a step on either side; the
@@ -546,8 +546,8 @@ def _mean_duty(time: Array, duty: Array, at: Array, delay: float) -> Array:
     """
     edges = np.concatenate([time, [time[-1] + 2.0]])
     area = np.concatenate([[0.0], np.cumsum(duty * np.diff(edges))])
-    bounds = np.concatenate([at - 0.5 * STEP, [at[-1] + 0.5 * STEP]]) - delay
-    mean: Array = np.diff(np.interp(bounds, edges, area)) / STEP
+    bounds = np.concatenate([at - 0.5 * step, [at[-1] + 0.5 * step]]) - delay
+    mean: Array = np.diff(np.interp(bounds, edges, area)) / step
     mean[np.abs(mean) < 1e-6] = 0.0  # rounding must not look like a duty that is not exactly zero
     return mean
 
@@ -560,6 +560,7 @@ def simulate(
     seed: int,
     noise: bool = True,
     settle: float = SETTLE,
+    step: float = STEP,
 ) -> Simulated:
     """Play `duty` (n,) in percent, held from stamp to stamp of `time` (n,), on the rig with its effects.
 
@@ -572,23 +573,25 @@ def simulate(
         raise ValueError(f"no effect {sorted(unknown)[0]!r}; there are {', '.join(VOCABULARY + OUTSIDE)}")
     if len(parameters) < len(effects):
         raise ValueError("the same effect is there twice")
+    if effects and step != STEP:
+        raise ValueError("effects with a state of their own know only the usual step")
 
-    machine = build(rig, parameters)
-    before = round(settle / STEP)
-    steps = before + int(np.ceil((time[-1] - time[0]) / STEP)) + 3
+    machine = build(rig, parameters, step)
+    before = round(settle / step)
+    steps = before + int(np.ceil((time[-1] - time[0]) / step)) + 3
     # Half a step off, so that a duty that changes at a whole step changes between two kicks.
-    at = (np.arange(steps) - before + 0.5) * STEP
-    command = _mean_duty(time - time[0], duty, at, parameters.get("input_delay", {"time": 0.0})["time"])
+    at = (np.arange(steps) - before + 0.5) * step
+    command = _mean_duty(time - time[0], duty, at, parameters.get("input_delay", {"time": 0.0})["time"], step)
     rng = np.random.default_rng(seed)
-    density = np.array([rig.motor_noise, rig.link_noise]) * (float(noise) / sqrt(STEP))
+    density = np.array([rig.motor_noise, rig.link_noise]) * (float(noise) / sqrt(step))
     shaking = rng.standard_normal((steps, 2)) * density
-    track = _run(rig, machine, parameters, at, command, shaking)
+    track = _run(rig, machine, parameters, at, command, shaking, step)
 
     # Column order: link angle, motor angle at the instant; link and motor speed half a step after; torque.
     stamps = time - time[0]
     link, motor = np.interp(stamps, at, track[:, 0]), np.interp(stamps, at, track[:, 1])
-    link_speed = np.interp(stamps, at + 0.5 * STEP, track[:, 2])
-    motor_speed = np.interp(stamps, at + 0.5 * STEP, track[:, 3])
+    link_speed = np.interp(stamps, at + 0.5 * step, track[:, 2])
+    motor_speed = np.interp(stamps, at + 0.5 * step, track[:, 3])
     shift = parameters.get("encoder_eccentricity", {"amplitude": 0.0, "phase": 0.0})
     seen = link + shift["amplitude"] * np.sin(link + shift["phase"])
     counts = np.floor(seen * rig.counts_per_revolution / TURN + rig.encoder_phase).astype(np.int64)
@@ -617,8 +620,9 @@ def visibility(
 
 
 def _run(
-    rig: Rig, machine: Machine, parameters: dict[str, Parameters], at: Array, command: Array, shaking: Array
-) -> Array:
+    rig: Rig, machine: Machine, parameters: dict[str, Parameters], at: Array, command: Array, shaking: Array,
+    step: float,
+) -> Array:  # fmt: skip
     """Step the engine through, adding what the laws say; rows as `simulate` reads them."""
     model = machine.model
     data = mujoco.MjData(model)
@@ -632,11 +636,11 @@ def _run(
     back_emf = BACK_EMF * rig.viscous_friction / rig.input_gain
     motor_part = rig.motor_friction_share
     half_gap, stiffness, damping = 0.5 * rig.backlash, machine.teeth_stiffness, machine.teeth_damping
-    smooth = STEP / 0.005  # oil and bearings follow the mean load of the teeth, not every knock
+    smooth = step / 0.005  # oil and bearings follow the mean load of the teeth, not every knock
 
     track = np.empty((len(at), 5))
     angles, speeds, applied, dry = data.qpos, data.qvel, data.qfrc_applied, model.dof_frictionloss
-    step, s = mujoco.mj_step, State()
+    advance, s = mujoco.mj_step, State()
     for k, (now, duty, motor_shake, link_shake) in enumerate(
         zip(at.tolist(), command.tolist(), shaking[:, 0].tolist(), shaking[:, 1].tolist(), strict=True)
     ):
@@ -670,7 +674,7 @@ def _run(
             )  # else the engine goes on with the mass matrix it has
             change = None
         applied[0], applied[1] = motor, link
-        step(model, data)
+        advance(model, data)
         track[k, :4] = places[1], places[0], speeds[1], speeds[0]
         track[k, 4] = torque
     return track

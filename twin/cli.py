@@ -636,6 +636,8 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the exit code."""
     debug = bool(os.environ.get("TWIN_DEBUG"))
+    # Where matrices are small, the threads of the linear algebra only wait for one another.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
     if not debug:
         warnings.simplefilter("ignore")  # a search may try values at which the model overflows
     try:

@@ -36,7 +36,7 @@ _GRID = {
     "motor_share": (0.12, 0.22, 0.36, 0.55),
     "friction_share": (0.4, 0.8),
 }
-_TEETH = {"tooth_frequency": (60.0, 90.0, 130.0, 190.0), "tooth_damping": (0.15, 0.4)}
+_TEETH = {"tooth_frequency": (60.0, 90.0, 130.0, 190.0), "tooth_damping": (0.12, 0.2, 0.35, 0.5)}
 
 
 def free_parameters(structure: Structure) -> tuple[str, ...]:
@@ -130,13 +130,19 @@ def refine(cases: Sequence[Case], structure: Structure, coarse_point: Point, hel
     free = tuple(n for n in free_parameters(structure) if n not in held)
     if "tooth_compliance" not in structure:
         return likelihood.fit(mine, structure, values, free, coarse_point.density)
-    best = _scan(mine, structure, values, coarse_point.density, _TEETH, keep=1)[0]
-    point = likelihood.climb(mine, structure, best, coarse_point.density, free, rounds=15, tolerance=1.0)
-    point = likelihood.fit(mine, structure, point.values, free, point.density)
-    # The teeth's frequency has many valleys, and the first look at it was through a wrong gap: look again.
-    for again in _scan(mine, structure, point.values, point.density, _TEETH, keep=2):
-        other = likelihood.climb(mine, structure, again, point.density, free, rounds=8, tolerance=1.0)
-        if other.deviance < point.deviance - 1.0:
+    # The teeth's frequency has many valleys: several starts, and the best after a few steps goes on.
+    begun = _scan(mine, structure, values, coarse_point.density, _TEETH, keep=2)
+    density = coarse_point.density
+    with ThreadPoolExecutor(2) as pool:
+        tried = pool.map(lambda v: likelihood.climb(mine, structure, v, density, free, rounds=4, tolerance=1.0), begun)
+        best = min(tried, key=lambda p: p.deviance)
+    point = likelihood.fit(mine, structure, best.values, free, density)
+    if likelihood.astray(mine, point):
+        return point
+    # The first look was through a wrong gap: look again.
+    for again in _scan(mine, structure, point.values, point.density, _TEETH, keep=1):
+        other = likelihood.climb(mine, structure, again, point.density, free, rounds=4, tolerance=1.0)
+        if other.deviance < point.deviance - point.unit:
             point = likelihood.fit(mine, structure, other.values, free, point.density)
     return point
 
@@ -147,26 +153,57 @@ _RIDGE = ("dead_band_forward", "dead_band_reverse")
 _FOLLOW = ("input_gain", "viscous_friction")
 
 
-def _along_ridge(cases: Sequence[Case], point: Point) -> Point:
-    """Scan both sides of the dead-band together, gain and friction following: along this ridge of the likelihood
+def _dead_bands(cases: Sequence[Case], point: Point) -> list[dict[str, float]]:
+    """Both sides of the dead-band moved together, gain and friction following: along this ridge of the likelihood
     there are valleys a tenth of a percent of the input apart, and a gradient stays in the first.
     """
+    if not all(n in point.free for n in (*_RIDGE, *_FOLLOW)):
+        return []
     d, o = ([point.free.index(n) for n in names] for names in (_RIDGE, _FOLLOW))
     follow = -likelihood.solved(point.normal[np.ix_(o, o)], point.normal[np.ix_(o, d)]).sum(axis=1)
     reach = 0.01 * max(float(np.max(np.abs(c.recording.input))) for c in cases)
     trials = []
-    for x in np.linspace(-reach, reach, 41):
+    for x in np.linspace(-reach, reach, 25).tolist():
         moved = {n: max(point.values[n] + x, 0.0) for n in _RIDGE}
-        moved |= {n: max(point.values[n] + f * x, 1e-9) for n, f in zip(_FOLLOW, follow, strict=True)}
+        moved |= {n: max(point.values[n] + f * x, 1e-9) for n, f in zip(_FOLLOW, follow.tolist(), strict=True)}
         trials.append({**point.values, **moved})
-    found = likelihood.deviances(cases, point.structure, trials, point.density)
-    best = trials[int(np.argmin(found))]
-    return likelihood.climb(cases, point.structure, best, point.density, point.free, rounds=15)
+    return trials
+
+
+def _gaps(cases: Sequence[Case], point: Point) -> list[dict[str, float]]:
+    """A wider gap and a lighter motor: it takes as long to cross and hits the link as hard, so that the likelihood
+    has a ridge there, and every bounce makes a valley across it.
+    """
+    moving = {"backlash_gap": 1.0, "motor_share": -1.0, "friction_share": -1.0}
+    if not set(moving) <= set(point.free):
+        return []
+    trials = [
+        {**point.values, **{n: point.values[n] * float(g) ** power for n, power in moving.items()}}
+        for g in np.geomspace(0.5, 2.0, 25)
+    ]
+    return [t for t in trials if likelihood.within_bounds(t)]
+
+
+def _elsewhere(cases: Sequence[Case], point: Point) -> Point:
+    """The best point that is reached from the ridges of the likelihood, which may be the same."""
+    best = point
+    for ridge in (_dead_bands, _gaps):
+        trials = ridge(cases, best)
+        if not trials:
+            continue
+        found = likelihood.deviances(cases, best.structure, trials, best.density)
+        if min(found) < best.deviance + 10.0 * best.unit:
+            begin = trials[int(np.argmin(found))]
+            other = likelihood.climb(cases, best.structure, begin, best.density, best.free, rounds=8)
+            best = min(best, other, key=lambda p: p.deviance)
+    return best
 
 
 def polish(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:
     """Leave the local valleys that a climb from the coarse values ends in: the contact at the start, the ridge."""
     mine = with_steps(cases, point.structure)
+    if likelihood.astray(mine, point):
+        return mine, point
     if "backlash" in point.structure:
         chosen = []
         for case in mine:
@@ -180,20 +217,58 @@ def polish(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:
         if [c.contact for c in chosen] != [c.contact for c in mine]:
             mine = chosen
             point = likelihood.climb(mine, point.structure, point.values, point.density, point.free, rounds=15)
-    if all(n in point.free for n in (*_RIDGE, *_FOLLOW)):
-        for _ in range(3):
-            other = _along_ridge(mine, point)
-            if other.deviance > point.deviance - 1.0:
-                break
-            point = likelihood.fit(mine, point.structure, other.values, point.free, point.density)
+    for _ in range(2):
+        other = _elsewhere(mine, point)
+        if other.deviance > point.deviance - point.unit:
+            break
+        point = likelihood.fit(mine, point.structure, other.values, point.free, point.density)
     return mine, point
+
+
+#: How much of the link's change of speed at a landing may be uncertain.
+_UNCERTAIN = (0.0, 0.03, 0.1, 0.3, 1.0)
+
+
+def listen(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:
+    """Let the filter know how uncertain landings in the gap are, where the recording says that they are.
+
+    Elsewhere the noise is then as weak as it is, and the readings in mesh say all that they know.
+    """
+    free = {"backlash_gap", "motor_share"} <= set(point.free)
+    if "backlash" not in point.structure or not free or likelihood.astray(cases, point):
+        return list(cases), point
+    for _ in range(2):
+        plain = with_steps([replace(c, knocks=None) for c in cases], point.structure)
+        share, density, cases = loudness(plain, point)
+        if share == 0.0:
+            break
+        density = likelihood.best_density(cases, point.structure, point.values, around=density)
+        point = likelihood.climb(cases, point.structure, point.values, density, point.free, rounds=12)
+    return list(cases), point
+
+
+def loudness(cases: Sequence[Case], point: Point) -> tuple[float, float, list[Case]]:
+    """How much of a jump is uncertain, with about the noise density that goes with it, and the cases that know it."""
+    loud = [likelihood.landings(c, point.structure, point.values, point.density) for c in cases]
+
+    def told(share: float) -> list[Case]:
+        return [replace(c, knocks=share**2 * k if share else None) for c, k in zip(cases, loud, strict=True)]
+
+    def deviance(trial: tuple[float, float]) -> float:
+        share, density = trial
+        return likelihood.evaluate(told(share), point.structure, point.values, density).deviance
+
+    trials = list(itertools.product(_UNCERTAIN, (point.density, 0.25 * point.density)))
+    with ThreadPoolExecutor(2) as pool:
+        share, density = trials[int(np.argmin(list(pool.map(deviance, trials))))]
+    return share, density, told(share)
 
 
 def joint(recordings: Sequence[Recording], structure: Structure, held: Mapping[str, float] | None = None) -> Point:
     """Maximum-likelihood estimate of a structure from recordings; `held` parameters keep their value."""
     held = dict(held or {})
     cases, point = start(recordings, structure, held)
-    return polish(cases, refine(cases, structure, point, held))[1]
+    return polish(*listen(cases, refine(cases, structure, point, held)))[1]
 
 
 def base_structure() -> Structure:
@@ -230,7 +305,7 @@ def _remedy(name: str, partner: str) -> str:
 
 def to_model(cases: Sequence[Case], point: Point, recordings: Sequence[Recording], held: Mapping[str, float]) -> Model:
     """The point as a model, with standard errors and where it comes from."""
-    covariance = likelihood.robust_covariance(with_steps(cases, point.structure), point)
+    covariance = point.robust_covariance
     first = recordings[0]
     variance = cases[0].reading_variance * point.scale
     known = {k: v for k, v in likelihood.known_quantities(first).items() if v}
@@ -327,11 +402,13 @@ def identify(
     cases, point = start(train, structure, held)
     tell("the full likelihood", 0.3)
     point = refine(cases, with_teeth(structure), point, held)
-    tell("leaving local valleys", 0.7)
+    tell("landings in the gap", 0.65)
+    cases, point = listen(cases, point)
+    tell("leaving local valleys", 0.75)
     cases, point = polish(cases, point)
     model = to_model(cases, point, train, held)
     tell("profiles of the likelihood", 0.85)
     names = [n for n in PROFILED if n in point.free]
     with ThreadPoolExecutor(2) as pool:
-        found = pool.map(lambda n: likelihood.profile_interval(cases, point, n, model.std(n)), names)
+        found = pool.map(lambda n: likelihood.profile_interval(cases, point, n), names)
         return replace(model, intervals=dict(zip(names, found, strict=True)))

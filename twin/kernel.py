@@ -16,6 +16,7 @@ import sys
 import tempfile
 import textwrap
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -220,13 +221,23 @@ def in_pieces(
     serving = _serving(p)
     for begin in range(0, count, most):
         room = min(most, count - begin)
-        predicted, slopes = np.empty(room), _aligned(room, blocks, WIDTH)
-        for block, (state, d_state, seed, command, d_command) in enumerate(carried):
+        predicted, slopes = np.empty((blocks, room)), _aligned(room, blocks, WIDTH)
+
+        def run(
+            block: int, begin: int = begin, predicted: FloatArray = predicted, slopes: FloatArray = slopes
+        ) -> None:
+            state, d_state, seed, command, d_command = carried[block]
             serving.predict_t(
                 drive.time, command, drive.measured, gains, drive.speed, drive.closed, drive.law, state, d_state, p,
-                seed, drive.known, drive.longest, begin, predicted, slopes, block, d_command,
+                seed, drive.known, drive.longest, begin, predicted[block], slopes, block, d_command,
             )  # fmt: skip
-        yield slice(begin, begin + room), predicted, slopes.reshape(room, -1)[:, :n]
+
+        if blocks == 1:
+            run(0)
+        else:
+            with ThreadPoolExecutor(2) as pool:
+                list(pool.map(run, range(blocks)))
+        yield slice(begin, begin + room), predicted[0], slopes.reshape(room, -1)[:, :n]
 
 
 def predict_with_slopes(
@@ -238,7 +249,7 @@ def predict_with_slopes(
 
 
 def kalman(
-    drive: Drive, damping: float, density: float, start: tuple[float, float]
+    drive: Drive, damping: float, density: FloatArray, start: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
     """Gains (N, 2) and innovation variances (N,), in units of the reading's variance."""
     gains, spread = np.empty((len(drive.time), 2)), np.empty(len(drive.time))

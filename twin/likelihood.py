@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from twin import kernel
 from twin.axis import EVERYTHING, STATES, Structure
@@ -36,7 +35,15 @@ ROBUST_LIMIT = 4.0
 LEAST_READINGS = 5.0
 #: Stamps whose slopes are held at once: an hour at 2 ms has eighteen times as many.
 AT_ONCE = 100_000
+#: A unit of deviance worth so little says that the model errs.
+ERRS = 5.0
+#: Far from the maximum that worth says nothing: a climb ends at so many times its tolerance at most.
+MOST_UNITS = 10.0
 _BEHIND = 1e-7  # s
+#: So many steps in a row that bring nothing, each much shorter than the one before, end a climb.
+PATIENCE = 4
+#: Longer than innovations of a slightly wrong model stay correlated, s.
+_STRETCH = 0.5
 _BOUNDS = {p.name: (p.lower, p.upper) for p in EVERYTHING.parameters}
 
 
@@ -50,6 +57,7 @@ class Case:
     contact: float  # where in the gap the motor starts: -1, 0 or 1
     start: tuple[float, float]  # position and velocity
     free: NDArray[np.bool_] | None = None  # (N,) where the model runs freely and only that is judged; None: nowhere
+    knocks: FloatArray | None = None  # (N,) what landings in the gap add to the noise density before each stamp
 
     @property
     def count(self) -> int:
@@ -122,6 +130,7 @@ class Point:
     scale: float  # innovation variance found over that expected
     normal: FloatArray  # (n, n) information about the free parameters
     gradient: FloatArray  # (n,) of the log-likelihood
+    scatter: FloatArray  # (n, n) of the gradient, from stretch to stretch; the information where the model is right
     converged: bool = True
     says: str = ""
 
@@ -133,6 +142,27 @@ class Point:
         eigenvalues, vectors = np.linalg.eigh(scaled)
         inverse = (vectors / np.maximum(eigenvalues, 1e-12)) @ vectors.T
         return np.asarray(inverse / np.outer(size, size))
+
+    @property
+    def robust_covariance(self) -> FloatArray:
+        """Covariance (n, n) of the free parameters that holds where the model errs a little, too.
+
+        The information says how sharply the likelihood bends; how much its slope scatters from stretch to stretch
+        says how far the maximum may have moved (White's sandwich, Econometrica 50, 1982). Innovations that a
+        slightly wrong model leaves correlated make the second larger; each standard error is the larger of the two.
+        """
+        plain = self.covariance
+        robust = plain @ self.scatter @ plain
+        wider = np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(plain), 1e-300), 1.0))
+        return np.asarray(plain * np.outer(wider, wider))
+
+    @property
+    def unit(self) -> float:
+        """What one unit of deviance is worth here: the more the model errs, the less a change of one means."""
+        if not self.free:
+            return 1.0
+        wider = np.diag(self.robust_covariance) / np.maximum(np.diag(self.covariance), 1e-300)
+        return float(np.median(wider))
 
 
 def _start(case: Case, p: FloatArray, free: Sequence[str]) -> tuple[FloatArray, FloatArray]:
@@ -180,12 +210,39 @@ def gains_for(case: Case, damping: float, density: float) -> tuple[FloatArray, F
     duration = max(float(case.drive.time[-1]), 1e-9)
     velocity = (spread if case.drive.speed else max(spread / duration, 1e-3 * spread)) ** 2
     first = (1.0, 1.0) if case.drive.speed else (1.0, velocity / case.reading_variance)
-    gains, expected = kernel.kalman(case.drive, damping, density, first)
+    noise = np.full(len(case.drive.time), density)
+    loud = noise if case.knocks is None else noise + case.knocks
+    gains, expected = kernel.kalman(case.drive, damping, loud, first)
     if case.free is None:
         return gains, expected
     # What drifts away in a free run is no reading's noise: the errors of all recordings are weighed alike.
     gains[case.free] = 0.0
     return gains, np.full(len(expected), 1.0 / case.reading_variance)
+
+
+#: A landing shows from so long before the model's to so long after it, s.
+_KNOCK = (0.01, 0.02)
+
+
+def landings(case: Case, structure: Structure, values: Mapping[str, float], density: float) -> FloatArray:
+    """The noise density (N,) that would leave the link's speed after every landing in the gap wholly open.
+
+    Noise that is too weak to be seen while the gears are in mesh moves the light motor alone in the gap, and from
+    bounce to bounce it grows: what a landing does to the link, and when, is less certain than anything else.
+    """
+    p = kernel.vector(structure, dict(values))
+    gains, _ = gains_for(case, values.get("viscous_friction", 0.0), density)
+    _, states = kernel.predict(case.drive, p, _start(case, p, ())[0], gains, keep_states=True)
+    apart = np.abs(states[:, 2]) < 0.5 * values["backlash_gap"] * (1.0 - 1e-9)
+    last = np.flatnonzero(apart[:-1] & ~apart[1:])
+    jump = values["motor_share"] * (states[last, 3] - states[last, 1])
+    # Where motor and link meet gently the moment is open, whatever the jump.
+    usual = float(np.median(jump**2)) if len(jump) else 0.0
+    step = step_of(case)
+    before, after = (max(round(t / step), 1) for t in _KNOCK)
+    added = np.zeros(len(apart) + before + after)
+    np.add.at(added, last + 1, (jump**2 + usual) / (case.reading_variance * (before + after) * step))
+    return np.convolve(added, np.ones(before + after))[before : before + len(apart)]
 
 
 def _loss(z2: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -251,13 +308,15 @@ def evaluate(
     density: float,
     free: tuple[str, ...] = (),
     run: Callable[..., list[Innovations]] | None = None,
+    stretch: float = _STRETCH,
 ) -> Point:
-    """Deviance, gradient and information at these values."""
+    """Deviance, gradient and information at these values; errors further apart than `stretch` (s) are independent."""
     # Slopes take the memory: of long recordings the errors come first, then the slopes piece by piece.
     long = run is None and sum(len(c.drive.time) for c in cases) > AT_ONCE
     seen = () if long else free
     results = [innovations(c, structure, values, density, seen) for c in cases] if run is None else run()
     n = len(free)
+    lost = Point(structure, dict(values), density, free, math.inf, math.inf, np.eye(n), np.zeros(n), np.eye(n))
     z2s, logs, count = [], 0.0, 0
     for r in results:
         ok = np.isfinite(r.error)
@@ -266,57 +325,53 @@ def evaluate(
         count += int(ok.sum())
     joined = np.concatenate(z2s)
     if not np.all(np.isfinite(joined)) or count == 0:
-        return Point(structure, dict(values), density, free, math.inf, math.inf, np.eye(n), np.zeros(n))
+        return lost
     scale = _scale_of(joined)
     loss, _ = _loss(joined / scale)
     deviance = float(loss.sum()) + logs + count * math.log(scale)
-    normal, gradient = np.zeros((n, n)), np.zeros(n)
+    normal, gradient, scatter, stretches = np.zeros((n, n)), np.zeros(n), np.zeros((n, n)), 0
     if n:
-        run_again = (r for c in cases for r in pieces(c, structure, values, density, free, AT_ONCE))
-        for r in run_again if long else results:
+        ids, pulls = [], []
+        for block, r in _in_stretches(cases, structure, values, density, free, None if long else results, stretch):
             ok = np.isfinite(r.error)
             _, weight = _loss(r.error[ok] ** 2 / (r.variance[ok] * scale))
             weight = weight / (scale * r.variance[ok])
             slopes = r.slopes[ok]
             weighted = slopes * weight[:, None]
             normal += weighted.T @ slopes
-            gradient += weighted.T @ r.error[ok]
+            starts = np.flatnonzero(np.diff(block[ok], prepend=-1))
+            ids.append(block[ok][starts])
+            pulls.append(np.add.reduceat(weighted * r.error[ok][:, None], starts, axis=0))
+        # A stretch may have been cut in two.
+        joined_ids, joined_pulls = np.concatenate(ids), np.concatenate(pulls)
+        each = np.add.reduceat(joined_pulls, np.flatnonzero(np.diff(joined_ids, prepend=-1)), axis=0)
+        gradient, scatter, stretches = each.sum(axis=0), each.T @ each, len(each)
     if not np.all(np.isfinite(normal)) or not np.all(np.isfinite(gradient)):
-        return Point(structure, dict(values), density, free, math.inf, math.inf, np.eye(n), np.zeros(n))
-    return Point(structure, dict(values), density, free, deviance, scale, normal, gradient)
+        return lost
+    if stretches <= 2 * n:
+        scatter = normal
+    return Point(structure, dict(values), density, free, deviance, scale, normal, gradient, scatter)
 
 
-def robust_covariance(cases: Sequence[Case], point: Point, stretch: float = 0.5) -> FloatArray:
-    """Covariance (n, n) of the free parameters that holds where the model errs a little, too.
-
-    The information says how sharply the likelihood bends; how much its slope scatters from stretch to stretch (s)
-    says how far the maximum may have moved (White's sandwich, Econometrica 50, 1982). Innovations that a slightly
-    wrong model leaves correlated make the second larger; each standard error is the larger of the two.
-    """
-    scatters = []
-    for case in cases:
-        block = (case.drive.time / stretch).astype(np.intp)
-        totals, counts = np.zeros((block[-1] + 1, len(point.free))), np.zeros(block[-1] + 1, dtype=np.intp)
+def _in_stretches(
+    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], density: float, free: tuple[str, ...],
+    results: Sequence[Innovations] | None, stretch: float,
+) -> Iterator[tuple[NDArray[np.intp], Innovations]]:  # fmt: skip
+    """Innovations and the number of the stretch that each is of, run piece by piece where there are no results."""
+    first = 0
+    for i, case in enumerate(cases):
         begin = 0
-        for run in pieces(case, point.structure, point.values, point.density, point.free, AT_ONCE):
-            ok = np.flatnonzero(np.isfinite(run.error))
-            here, begin = block[begin + ok], begin + len(run.error)
-            if len(ok) == 0:
-                continue
-            variance = run.variance[ok] * point.scale
-            _, weight = _loss(run.error[ok] ** 2 / variance)
-            starts = np.flatnonzero(np.diff(here, prepend=-1))
-            pulls = run.slopes[ok] * (weight * run.error[ok] / variance)[:, None]
-            totals[here[starts]] += np.add.reduceat(pulls, starts, axis=0)
-            counts[here[starts]] += 1
-        scatters.append(totals[counts > 0])
-    scatter = np.concatenate(scatters)
-    plain = point.covariance
-    if len(scatter) <= 2 * len(point.free):
-        return plain
-    robust = plain @ (scatter.T @ scatter) @ plain
-    wider = np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(plain), 1e-300), 1.0))
-    return np.asarray(plain * np.outer(wider, wider))
+        blocks = first + (case.drive.time / stretch).astype(np.intp)
+        first = int(blocks[-1]) + 1
+        runs = pieces(case, structure, values, density, free, AT_ONCE) if results is None else iter([results[i]])
+        for r in runs:
+            yield blocks[begin : begin + len(r.error)], r
+            begin += len(r.error)
+
+
+def robust_covariance(cases: Sequence[Case], point: Point, stretch: float = _STRETCH) -> FloatArray:
+    """The point's, where errors stay correlated for up to `stretch` seconds."""
+    return evaluate(cases, point.structure, point.values, point.density, point.free, None, stretch).robust_covariance
 
 
 def deviances(
@@ -332,36 +387,31 @@ def solved(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.lstsq(a, b, rcond=1e-14)[0])
 
 
+def within_bounds(values: Mapping[str, float]) -> bool:
+    """Whether every parameter lies where it may."""
+    return all(_BOUNDS[n][0] <= v <= _BOUNDS[n][1] for n, v in values.items())
+
+
 def _moved(point: Point, damping: float) -> dict[str, float]:
-    """The values after one damped Gauss-Newton step that respects the bounds."""
-    active = np.ones(len(point.free), dtype=bool)
-    values = dict(point.values)
-    bounds = [_BOUNDS[name] for name in point.free]
-    here = np.array([values[name] for name in point.free])
-    step = np.zeros(len(here))
-    for _ in range(len(here) + 1):
-        index = np.flatnonzero(active)
-        if len(index) == 0:
+    """The values after one damped Gauss-Newton step, the best one within the bounds."""
+    here = np.array([point.values[n] for n in point.free])
+    least, most = (np.array([_BOUNDS[n][side] for n in point.free]) - here for side in (0, 1))
+    size = np.sqrt(np.maximum(np.diag(point.normal), 1e-300))
+    scaled = point.normal / np.outer(size, size)
+    scaled[np.diag_indices_from(scaled)] += damping + 1e-12
+    step, inside = np.zeros(len(here)), np.ones(len(here), dtype=bool)
+    while inside.any():
+        pull = point.gradient / size - scaled @ np.where(inside, 0.0, step * size)
+        step[inside] = solved(scaled[np.ix_(inside, inside)], pull[inside]) / size[inside]
+        beyond = np.maximum(least - step, step - most) * size * inside
+        worst = int(np.argmax(beyond))
+        if beyond[worst] <= 0.0:
             break
-        a = point.normal[np.ix_(index, index)].copy()
-        size = np.sqrt(np.maximum(np.diag(a), 1e-300))
-        a = a / np.outer(size, size)
-        a[np.diag_indices_from(a)] += damping + 1e-12
-        step = np.zeros(len(here))
-        step[index] = solved(a, point.gradient[index] / size) / size
-        stuck = [
-            i
-            for i in index
-            if (here[i] <= bounds[i][0] and step[i] < 0.0) or (here[i] >= bounds[i][1] and step[i] > 0.0)
-        ]
-        if not stuck:
-            break
-        active[stuck] = False
-        step[stuck] = 0.0
-    for i, name in enumerate(point.free):
-        low, high = bounds[i]
-        values[name] = float(min(max(here[i] + step[i], low), high))
-    return values
+        # What would leave its bounds farthest ends there, and the others make the best of it.
+        step[worst] = least[worst] if step[worst] < least[worst] else most[worst]
+        inside[worst] = False
+    moved = np.clip(here + step, here + least, here + most)
+    return {**point.values, **dict(zip(point.free, moved.tolist(), strict=True))}
 
 
 def climb(
@@ -375,29 +425,35 @@ def climb(
 ) -> Point:
     """Maximise the likelihood over the free parameters at a fixed noise density (Levenberg-Marquardt).
 
-    Stops when a step promises less than `tolerance` of deviance.
+    Stops when a step promises, or has brought, less than `tolerance` of what a unit of deviance is worth there.
     """
-    best = evaluate(cases, structure, values, density, free)
-    damping = 1e-3
+    return _climb_on(cases, evaluate(cases, structure, values, density, free), rounds, tolerance)
+
+
+def _climb_on(cases: Sequence[Case], best: Point, rounds: int, tolerance: float) -> Point:
+    """From a point that is known already."""
+    damping, refused = 1e-3, 0
     for _ in range(rounds):
         if not math.isfinite(best.deviance):
             return replace(best, converged=False, says="the start lies where the model cannot run")
+        enough = tolerance * min(best.unit, MOST_UNITS)
         trial_values = _moved(best, damping)
-        change = np.array([trial_values[n] - best.values[n] for n in free])
+        change = np.array([trial_values[n] - best.values[n] for n in best.free])
         promised = float(2.0 * best.gradient @ change - change @ best.normal @ change)
-        if promised < tolerance:
+        if promised < enough:
             return best
-        trial = evaluate(cases, structure, trial_values, density, free)
+        trial = evaluate(cases, best.structure, trial_values, best.density, best.free)
         gained = best.deviance - trial.deviance
         if gained > 0.0:
-            best = trial
+            best, refused = trial, 0
             damping = max(damping * (0.1 if gained > 0.5 * promised else 0.5), 1e-9)
-            if gained < tolerance:
+            if gained < enough:
                 return best
         else:
-            damping = max(damping * 10.0, 1e-4)
-            if damping > 1e6:
-                return best
+            refused += 1
+            if refused == PATIENCE:
+                return replace(best, says="steps along the slope lead no higher: the likelihood is rough here")
+            damping = max(damping * 10.0, 0.03)
     return replace(best, converged=False, says="the search ran out of rounds")
 
 
@@ -405,52 +461,81 @@ def climb(
 _CHI2_95 = 3.841
 
 
-def profile_interval(cases: Sequence[Case], point: Point, name: str, std: float) -> tuple[float, float]:
-    """95 % interval of a free parameter from the profile of the likelihood, all others refitted at each value.
+def profile_interval(cases: Sequence[Case], point: Point, name: str) -> tuple[float, float]:
+    """95 % interval of a free parameter from the profile of the likelihood, all others refitted.
 
-    For bounded and kinked parameters, whose likelihood is no parabola. `std` is the standard error to start from;
-    where it is wider than the information says, because the model errs a little, the interval is wider alike.
+    For bounded and kinked parameters, whose likelihood is no parabola: on either side the profile is looked at where
+    the parabola would end, and the end moved to where it says. A unit of deviance counts for what it is worth.
     """
-    others = tuple(n for n in point.free if n != name)
     i = point.free.index(name)
-    plain = math.sqrt(max(float(point.covariance[i, i]), 0.0))
-    wanted = _CHI2_95 * max(std / plain, 1.0) ** 2 if plain > 0.0 else _CHI2_95
+    others = tuple(n for n in point.free if n != name)
+    index = [k for k in range(len(point.free)) if k != i]
+    std = math.sqrt(max(float(point.robust_covariance[i, i]), 0.0))
+    plain = math.sqrt(max(float(point.covariance[i, i]), 1e-300))
+    wanted = _CHI2_95 * (std / plain) ** 2
+    follow = -solved(point.normal[np.ix_(index, index)], point.normal[index, i])
     low, high = _BOUNDS[name]
     ends = []
-    for sign, bound in ((-1.0, low), (1.0, high)):
-        step, inside, end = 1.96 * std, 0.0, point.values[name]
-        for _ in range(4):
-            value = min(max(point.values[name] + sign * (inside + step), low), high)
-            trial = climb(cases, point.structure, {**point.values, name: value}, point.density, others, rounds=3)
-            rise = trial.deviance - point.deviance
-            end = value
-            if value == bound or 0.7 * wanted < rise < 1.4 * wanted:
+    for bound, sign in ((low, -1.0), (high, 1.0)):
+        reach = min(1.96 * std, sign * (bound - point.values[name]))
+        for _ in range(2 if point.unit < ERRS else 0):
+            if reach <= 0.0:
                 break
-            # The profile is near a parabola in the distance: aim where it would reach the threshold.
+            moved = {n: point.values[n] + sign * reach * f for n, f in zip(others, follow.tolist(), strict=True)}
+            moved = {n: min(max(v, _BOUNDS[n][0]), _BOUNDS[n][1]) for n, v in moved.items()}
+            value = point.values[name] + sign * reach
+            trial = climb(cases, point.structure, {**point.values, **moved, name: value}, point.density, others, 2)
+            rise = trial.deviance - point.deviance
             factor = math.sqrt(wanted / rise) if rise > 0.0 else 2.0
-            step = (inside + step) * min(max(factor, 0.3), 2.0) - inside
-        ends.append(float(end))
+            reach = min(reach * min(max(factor, 0.4), 2.0), sign * (bound - point.values[name]))
+            if 0.7 < factor < 1.4:
+                break
+        ends.append(point.values[name] + sign * max(reach, 0.0))
     return ends[0], ends[1]
+
+
+def _densest(cases: Sequence[Case]) -> float:
+    """The noise density at which the filter weighs the fewest readings that it may."""
+    return min(density_of(c, LEAST_READINGS * step_of(c)) for c in cases)
+
+
+def astray(cases: Sequence[Case], point: Point) -> bool:
+    """Whether the model misses so much that its noise forgets as fast as it may, and errors stay correlated still.
+
+    Such a likelihood is rough, and which of its many valleys is the deepest says little about the axis.
+    """
+    return point.unit > ERRS and point.density > 0.7 * _densest(cases)
 
 
 def best_density(
     cases: Sequence[Case], structure: Structure, values: Mapping[str, float], around: float | None = None
 ) -> float:
-    """The noise density that makes the recordings likeliest at fixed parameters; none that forgets too fast."""
-    top = math.log10(min(density_of(c, LEAST_READINGS * step_of(c)) for c in cases))
+    """The noise density that makes the recordings likeliest at fixed parameters; none that forgets too fast.
 
-    def deviance(d: float) -> float:
-        return evaluate(cases, structure, values, 10.0**d).deviance
+    `around` a density that is known already it is looked for within a factor of three hundred.
+    """
+    top = math.log10(_densest(cases))
+
+    def looked(exponents: Sequence[float]) -> list[float]:
+        with ThreadPoolExecutor(2) as pool:
+            return list(pool.map(lambda d: evaluate(cases, structure, values, 10.0**d).deviance, exponents))
 
     if around is None:
         # Readings that are rounded and held have a second valley, where the last reading is all that is believed.
-        middle, reach = min((top - d for d in range(0, 9)), key=deviance), 1.0
+        grid = [top - d for d in range(0, 9)]
+        begin = grid[int(np.argmin(looked(grid)))]
     else:
-        middle, reach = math.log10(around), 1.5
-    low, high = min(middle, top) - reach, min(middle + reach, top)
-    found = minimize_scalar(deviance, bounds=(low, high), method="bounded", options={"xatol": 0.05})
-    # The search never tries its bounds themselves.
-    return float(10.0 ** (found.x if found.x < high - 0.1 else high))
+        begin = math.log10(around)
+    middle, low, high = min(begin, top), min(begin, top) - 2.5, min(begin + 2.5, top)
+    for _ in range(5):
+        below, here, above = looked([middle - 0.4, middle, middle + 0.4])
+        bend = below - 2.0 * here + above
+        step = 0.2 * (below - above) / bend if bend > 0.0 else math.copysign(1.0, below - above)
+        found = min(max(middle + min(max(step, -1.0), 1.0), low), high)
+        if abs(found - middle) < 0.3:
+            return float(10.0**found)
+        middle = found
+    return float(10.0**middle)
 
 
 def fit(
@@ -459,15 +544,18 @@ def fit(
     values: Mapping[str, float],
     free: tuple[str, ...],
     density: float | None = None,
-    rounds: int = 30,
+    rounds: int = 15,
 ) -> Point:
-    """Maximum likelihood over the free parameters and the noise density, alternating until neither moves."""
+    """Maximum likelihood over the free parameters and the noise density, alternating until neither moves.
+
+    Until the density is settled the parameters only have to be about right.
+    """
     current = density if density is not None else best_density(cases, structure, values)
-    point = climb(cases, structure, values, current, free, rounds)
+    point = climb(cases, structure, values, current, free, min(rounds, 5), tolerance=1.0)
     for _ in range(6):
         found = best_density(cases, structure, point.values, around=current)
         if abs(math.log10(found / current)) < 0.1:
             break
         current = found
-        point = climb(cases, structure, point.values, current, free, rounds)
-    return point
+        point = climb(cases, structure, point.values, current, free, min(rounds, 5), tolerance=1.0)
+    return _climb_on(cases, point, rounds, 0.05)

@@ -169,8 +169,8 @@ def predict_t(
 def riccati(time, measured, damping, density, speed, start, gains, spread):
     """Kalman gains (N, 2) and innovation variances (N,) of an axis with viscous damping and white torque noise.
 
-    Variances are in units of the reading's own variance; `density` is that of the torque noise in the same
-    units; `start` holds the variances of position and velocity at the first stamp.
+    Variances are in units of the reading's own variance; `density` (N,) is that of the torque noise before each stamp
+    in the same units; `start` holds the variances of position and velocity at the first stamp.
     """
     a = start[0]
     b = 0.0
@@ -182,9 +182,9 @@ def riccati(time, measured, damping, density, speed, start, gains, spread):
             g = h
             if damping * h > 1e-6:
                 g = (1.0 - f) / damping
-            a = a + 2.0 * g * b + g * g * c + density * h * h * h / 3.0
-            b = f * (b + g * c) + density * h * h / 2.0
-            c = f * f * c + density * h
+            a = a + 2.0 * g * b + g * g * c + density[i] * h * h * h / 3.0
+            b = f * (b + g * c) + density[i] * h * h / 2.0
+            c = f * f * c + density[i] * h
         seen = c if speed else a
         spread[i] = seen + 1.0
         gains[i, 0] = 0.0
