@@ -4,7 +4,8 @@
 
 One rig with gravity, dry friction and a gap, simulated. It is recorded; the first model (the four base effects)
 and the extended one are identified from the recording; each gets a controller of the same bandwidth, as do the
-truth and a PID tuned by Skogestad's rule. All are tried on the rig: a smooth move and steps.
+truth and a PID tuned by Skogestad's rule. All are tried on the rig: a smooth move and steps. The second table is
+of hunting across the gap, where neither load nor friction stops it: predicted, without and with the gap-aware mode.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from excitations import FREE, rich
 from twin.axis import Structure
 from twin.control import design
 from twin.controller import Controller
-from twin.cosim import ModelPlant, Sampler, Tracking, close
+from twin.cosim import Hunting, ModelPlant, Sampler, Tracking, close, simulate
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
 from twin.identify import identify
@@ -53,10 +54,10 @@ def rig() -> Model:
     return Model(structure, values, resolution=COUNT, torque_density=1e-4)
 
 
-def record(model: Model, seed: int) -> Recording:
-    """A minute on the rig: rich excitation, encoder counts."""
+def record(model: Model, seed: int, seconds: float) -> Recording:
+    """A while on the rig: rich excitation, encoder counts."""
     rng = np.random.default_rng(seed)
-    time, duty = rich(60.0, rng, FREE)
+    time, duty = rich(seconds, rng, FREE)
     nothing = np.full(len(time), math.nan)
     drive = Drive(time, duty, nothing, False, known_vector({}), np.zeros(5), model.longest_step)
     p = vector(model.structure, dict(model.values))
@@ -101,10 +102,10 @@ class Pid(Sampler):
         return min(max(wanted, -self.limit), self.limit)
 
 
-def table(bandwidth: float, seed: int) -> dict[str, tuple[Tracking, Tracking]]:
+def table(bandwidth: float, seed: int, seconds: float) -> dict[str, tuple[Tracking, Tracking]]:
     """Tracking on the smooth move and on the steps, by controller."""
     true = rig()
-    recording = record(true, seed)
+    recording = record(true, seed, seconds)
     first = identify([recording], Structure.of(BASE))
     extended = identify([recording], Structure.of([*BASE, *EFFECTS]))
     best = design(true, bandwidth)
@@ -125,19 +126,56 @@ def table(bandwidth: float, seed: int) -> dict[str, tuple[Tracking, Tracking]]:
     }
 
 
+def overshoot(steps: Tracking) -> float:
+    """Furthest beyond the step and beyond the way back."""
+    goal, start = float(np.max(steps.reference)), float(np.min(steps.reference))
+    return max(float(np.max(steps.position)) - goal, start - float(np.min(steps.position)), 0.0)
+
+
+def free_axis(rings: float, damping: float, gap: float) -> Model:
+    """A horizontal link without dry friction behind a gap; `rings` in Hz, 0 for rigid teeth."""
+    structure = Structure.of([*BASE, *(["tooth_compliance"] if rings else [])])
+    values = {p.name: p.start for p in structure.parameters} | {
+        "input_gain": 0.3, "viscous_friction": 1.5, "dead_band_forward": 6.0, "dead_band_reverse": 4.0,
+        "backlash_gap": gap,
+    }  # fmt: skip
+    values |= {"tooth_frequency": rings, "tooth_damping": damping} if rings else {}
+    return Model(structure, values, resolution=COUNT, torque_density=1e-4)
+
+
+def hunting(rings: float, damping: float, gap: float) -> Hunting:
+    """The limit cycle at rest on such an axis."""
+    model = free_axis(rings, damping, gap)
+    made = design(model)
+    found = simulate(model, made, make_reference("minimum-jerk", made)).hunting
+    assert found is not None, "a gap without friction is predicted to hunt"
+    return found
+
+
+TEETH = ((0.0, 0.0), (235.0, 1.3), (60.0, 1.3), (60.0, 0.3), (60.0, 0.1), (25.0, 0.1))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bandwidth", type=float, default=2.5, help="Hz, of every controller")
     parser.add_argument("--seed", type=int, default=1, help="draws the excitation")
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of the recording")
     given = parser.parse_args()
-    print("| controller | smooth: RMS | peak (mrad) | steps: RMS | overshoot (mrad) | effort (% RMS) |")
-    print("|---|---|---|---|---|---|")
-    for name, (smooth, steps) in table(given.bandwidth, given.seed).items():
-        beyond = max(float(np.max(steps.position)) - 1.0, -float(np.min(steps.position)))
+    print("| controller | smooth: RMS | peak (mrad) | effort (%) | steps: RMS | peak | overshoot (mrad) | effort (%) |")
+    print("|---|---|---|---|---|---|---|---|")
+    for name, (smooth, steps) in table(given.bandwidth, given.seed, given.seconds).items():
         print(
-            f"| {name} | {1e3 * smooth.rms:.2f} | {1e3 * smooth.peak:.1f} | {1e3 * steps.rms:.0f} | "
-            f"{1e3 * beyond:.1f} | {smooth.effort:.1f} |"
+            f"| {name} | {1e3 * smooth.rms:.2f} | {1e3 * smooth.peak:.2f} | {smooth.effort:.1f} | "
+            f"{1e3 * steps.rms:.0f} | {1e3 * steps.peak:.0f} | {1e3 * overshoot(steps):.2f} | {steps.effort:.1f} |"
         )
+    print("\n| teeth | predicted | without gap-aware mode | with it (mrad at Hz) |\n|---|---|---|---|")
+    for rings, damping in TEETH:
+        found = hunting(rings, damping, 0.02)
+        cells = (
+            "none" if c is None else f"{1e3 * c.amplitude:.2f} at {c.frequency:.1f}"
+            for c in (found.predicted, found.unaware, found.aware)
+        )
+        print(f"| {f'{rings:.0f} Hz, damping {damping}' if rings else 'rigid'} | {' | '.join(cells)} |")
 
 
 if __name__ == "__main__":

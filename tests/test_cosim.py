@@ -13,14 +13,23 @@ from test_control import axis
 
 from twin import controller as controllers
 from twin.control import design
+from twin.controller import Controller
 from twin.cosim import find_limit_cycle, judge, make_reference, run, simulate, to_json, unaware
+from twin.effects.catalogue import BASE
+from twin.effects.catalogue import EFFECTS as EFFECT_PAGES
 from twin.errors import BadInput
+from twin.model import Model
 from twin.package import export
-from twin.reference import check, read_reference
+from twin.reference import Reference, check, read_reference
 from twin.robust import draw, robustness, trial
 
 HARD = {"gravity_gain": 3.0, "coulomb_friction": 1.0, "delay": 0.005, "lag_time": 0.01}
 EFFECTS = ("gravity", "coulomb_friction", "input_delay", "motor_lag")
+#: What no command can undo, or nobody knows in time.
+NAMED = {
+    "backlash", "tooth_compliance", "end_stop", "joint_elasticity", "load_change", "periodic_disturbance",
+    "unknown_time", "input_delay",
+}  # fmt: skip
 PLANTED = {
     "constant_offset": {"offset": 2.0},
     "coulomb_friction": {"coulomb_friction": 2.0},
@@ -49,16 +58,64 @@ def test_what_is_modelled_is_cancelled(effect: str) -> None:
     assert np.max(np.abs(position - reference.position)) < 3 * model.resolution
 
 
-@pytest.mark.parametrize("effect", ["gravity", "coulomb_friction", "torque_ripple", "motor_lag"])
-def test_what_is_not_modelled_is_felt(effect: str) -> None:
-    """The null case of the above: the same controller without the effect tracks several times worse."""
-    model = axis(effect, **PLANTED[effect])
-    blind, aware = design(axis(), 2.4), design(model, 2.4)
-    errors = []
-    for made in (blind, aware):
-        position, _ = trial(model, made, reference := make_reference("sine", blind))
-        errors.append(float(np.sqrt(np.mean((position - reference.position) ** 2))))
-    assert errors[0] > 3 * errors[1]
+#: Strong enough to be felt; what is not here is in PLANTED.
+MORE = {
+    "inertia": {"input_gain": 0.5},
+    "viscous_friction": {"viscous_friction": 4.0},
+    "drive_saturation": {"saturation_limit": 30.0},
+    "dead_band": {"dead_band_forward": 10.0, "dead_band_reverse": 8.0},
+    "backlash": {"backlash_gap": 0.02},
+    "tooth_compliance": {"backlash_gap": 0.02, "tooth_frequency": 60.0},
+    "payload": {"own_inertia": 0.01},
+    "payload_gravity": {"own_inertia": 0.01},
+    "end_stop": {"stop_upper": 2.0, "stop_lower": -2.0},
+    "joint_elasticity": {"joint_frequency": 12.0},
+    "load_change": {"load_added": 0.5, "load_time": 3.0},
+    "periodic_disturbance": {"disturbance": 1.0, "disturbance_frequency": 1.0},
+    "unknown_input": {f"unknown_input_{i:02d}": 5.0 * math.sin(i) for i in range(1, 13)},
+    "unknown_position": {
+        "unknown_position_from": -1.0, "unknown_position_span": 2.0,
+        **{f"unknown_position_{i:02d}": 3.0 * math.sin(i) for i in range(1, 13)},
+    },
+    "unknown_angle": {"unknown_angle_sin_1": 2.0, "unknown_angle_cos_3": 1.0},
+    "unknown_velocity": {
+        "unknown_velocity_from": -4.0, "unknown_velocity_span": 8.0,
+        **{f"unknown_velocity_{i:02d}": 2.0 * math.sin(i) for i in range(1, 13)},
+    },
+    "unknown_time": {"unknown_time_01": 1.0},
+}  # fmt: skip
+#: In every model: to be blind to them is to have the usual value.
+ALWAYS = {"input_gain": 0.3, "viscous_friction": 1.5, "dead_band_forward": 0.0, "dead_band_reverse": 0.0}
+
+
+def rms(model: Model, made: Controller, reference: Reference) -> float:
+    position, _ = trial(model, made, reference)
+    return float(np.sqrt(np.mean((position - reference.position) ** 2)))
+
+
+@pytest.mark.parametrize("effect", EFFECT_PAGES)
+def test_every_effect_is_cancelled_for_a_gain_or_named_as_what_cannot_be(effect: str) -> None:
+    """The null case of the above: on the same rig a controller that does not know the effect tracks worse."""
+    known = {"payload": 0.005, "moment": 0.02} if effect.startswith("payload") else {}
+    model = replace(axis(effect, **(PLANTED.get(effect) or MORE[effect])), known=known)
+    if effect in BASE:
+        blind = model.with_values({n: v for n, v in ALWAYS.items() if n in MORE[effect]} | {"backlash_gap": 0.0})
+    else:
+        left = model.structure.without(effect)
+        blind = replace(model, structure=left, values={p.name: model.values[p.name] for p in left.parameters})
+    aware = design(model, 2.4)
+    named = any(says.startswith(f"{effect}:") for says in aware.remarks)
+    unknowing = design(blind, 2.4)
+    if effect == "drive_saturation":
+        # It costs no accuracy but foresight: who does not know that braking is weak shoots past the goal.
+        reference = make_reference("step", aware, 6.0)
+        beyond = [float(np.max(trial(model, c, reference)[0])) - 6.0 for c in (unknowing, aware)]
+        gain = beyond[0] / max(beyond[1], model.resolution)
+    else:
+        reference = make_reference("sine", aware)
+        gain = rms(model, unknowing, reference) / rms(model, aware, reference)
+    assert named or gain > 1.5, gain
+    assert named == (effect in NAMED)
 
 
 def test_fmu_and_model_and_compiled_kernel_give_the_same_loop(tmp_path: Path) -> None:
@@ -91,15 +148,17 @@ def test_hunting_comes_as_the_describing_function_says_and_goes_with_the_gap_awa
 @pytest.mark.parametrize("rings", [25.0, 60.0, 235.0])
 @pytest.mark.parametrize("damping", [0.1, 1.3])
 @pytest.mark.parametrize("pull", [0.0, 6.0])
-def test_compliant_teeth_hunt_no_more(rings: float, damping: float, pull: float) -> None:
-    """A link without friction: whether its teeth rebound or not, the gap-aware mode leaves no limit cycle."""
+def test_compliant_teeth_hunt_no_more_or_less(rings: float, damping: float, pull: float) -> None:
+    """A link without friction: the gap-aware mode leaves no limit cycle, or a smaller one."""
     teeth = {"tooth_frequency": rings, "tooth_damping": damping, "backlash_gap": 0.02}
     model = axis("tooth_compliance", "gravity", **teeth, gravity_gain=pull, gravity_angle=0.4)
     made = design(model)
     reference = make_reference("minimum-jerk", made)
     runs = [judge(c, reference, *trial(model, c, reference)) for c in (unaware(made), made)]
-    assert runs[0].limit_cycle or pull, "without load it hunts, or there is nothing to show"
-    assert runs[1].limit_cycle is None
+    before, after = (r.limit_cycle for r in runs)
+    assert before or pull, "without load it hunts, or there is nothing to show"
+    # Nothing takes the swing from a link without friction or load, but for teeth that rebound little.
+    assert after is None or (before and damping < 1.0 and not pull and after.amplitude < 0.9 * before.amplitude)
     rest = reference.time > reference.rests_from + 1.0
     assert np.max(np.abs(runs[1].error[rest])) < 3 * made.settings["tolerance"]
 
@@ -200,7 +259,7 @@ def test_unusable_reference_files_are_refused(tmp_path: Path, text: str, says: s
 def test_reference_beyond_reach_is_refused_before_anything_runs() -> None:
     made = design(axis())
     fast = make_reference("sine", made, amplitude=50.0, duration=3.0)
-    with pytest.raises(BadInput, match=r"asks at t = .*reaches 18"):
+    with pytest.raises(BadInput, match=r"asks for [\d.]+ times what full command can do at t = .*reaches 18"):
         run(Path("none.fmu"), made, fast)
     with pytest.raises(BadInput, match="kind"):
         make_reference("square", made)

@@ -62,11 +62,15 @@ def test_plugin_runs_in_a_users_suite(files: Path, pytester: pytest.Pytester) ->
         f"""
         def test_fits(twin):
             assert twin.assert_nrmse(r"{files}/axis.fmu", r"{files}/log.csv", 0.5, r"{files}/rig.toml") < 0.5
+        def test_typo(twin):
+            twin.load("axs.fmu")
         def test_drifts(twin):
             twin.assert_nrmse(r"{files}/other.fmu", r"{files}/log.csv", 0.5, r"{files}/rig.toml")
         """
     )
     result = pytester.runpytest_subprocess("-p", "twin.pytest_plugin", "--twin-plots", str(files / "seen"))
-    result.assert_outcomes(passed=1, failed=1)
+    result.assert_outcomes(passed=1, failed=2)
+    result.stdout.fnmatch_lines(["axs.fmu: there is no such FMU: check the name*"])
+    assert "in open_fmu" not in result.stdout.str()
     assert [p.name for p in (files / "seen").iterdir()] == ["test_drifts.png"]
     assert np.all([p.stat().st_size > 5000 for p in (files / "seen").iterdir()])

@@ -23,7 +23,8 @@ from twin.model import Model
 FAST = 4.0  # observer over loop
 SLOW = 0.5  # integral action over loop
 TOLERATED = 1.2  # error left alone at rest, once the loop has hunted, over the amplitude of its hunting
-CALM = 0.12  # velocity gain while it is left alone over the loop's: more keeps teeth that rebound in motion
+CALM = 0.3  # velocity gain over the loop's from then on
+CALM_ELASTIC = 0.12  # the same for compliant teeth, which throw the link back: more keeps it in motion
 FULL_DRIVE = {"%": 100.0}
 SPREAD_OF_NOISE = 0.03  # share of the limit that noise may take of the command
 SENSITIVE = 2.0  # largest sensitivity of a loop designed without an asked bandwidth
@@ -176,7 +177,7 @@ def _tuned(model: Model, draft: Controller, bandwidth: float) -> Controller:
     limit = draft.settings["limit"]
     gains, spread = _observer(model, draft, rate)
     settings = {**draft.settings, **_gains(draft, rate), **gains}
-    settings["calming"] = CALM * settings["velocity_gain"]
+    settings["calming"] = (CALM_ELASTIC if model.structure.elastic else CALM) * settings["velocity_gain"]
     settings["rest_speed"] = max(3.0 * spread, 1e-9)
     tuned = replace(draft, bandwidth=bandwidth, settings=settings)
     noise = linear.command_noise(tuned, _reading_variance(model), model.torque_density)
@@ -227,7 +228,7 @@ def _draft(model: Model, limit: float) -> Controller:
     if acceleration <= 0.0:
         raise BadInput(
             f"full command ({limit:g} {model.input_unit}) does not move this axis against its friction: "
-            "the model cannot be controlled; check input_gain and the dead-band"
+            "allow a larger command, or check input_gain, friction and dead-band of the model"
         )
     return replace(draft, reachable_speed=speed, reachable_acceleration=acceleration)
 
@@ -273,11 +274,12 @@ def _remarks(model: Model, controller: Controller) -> list[str]:
                     f"{effect.id}: its moment on the rig is not known, so it is not cancelled; "
                     "the integral action takes what it can."
                 )
-    if "joint_elasticity" in model.structure:
-        says.append(
-            f"joint_elasticity: the ringing at {model.values['joint_frequency']:.3g} Hz is not damped actively; "
-            "the loop stays below it."
-        )
+    for elastic, kind in (("joint_elasticity", "joint"), ("tooth_compliance", "tooth")):
+        if elastic in model.structure:
+            says.append(
+                f"{elastic}: the ringing at {model.values[f'{kind}_frequency']:.3g} Hz is not damped actively; "
+                "the loop stays below it."
+            )
     if controller.values.get("backlash_gap", 0.0) > 0.0:
         says.append(
             f"backlash: in the gap of {controller.values['backlash_gap']:.3g} {model.axis_unit} the link is free; "
@@ -314,8 +316,9 @@ def design(model: Model, bandwidth: float | None = None, limit: float | None = N
     largest, assumed = _limit(model, limit)
     draft = _draft(model, largest)
     says = [assumed] if assumed else []
+    sensible, why = _sensible(model, draft)
     if bandwidth is None:
-        bandwidth, why = _sensible(model, draft)
+        bandwidth = sensible
         says.append(f"bandwidth: {bandwidth:.3g} Hz, set by {why}.")
     else:
         most = 0.1 / model.sample_time
@@ -326,10 +329,11 @@ def design(model: Model, bandwidth: float | None = None, limit: float | None = N
                 f"bandwidth {bandwidth:g} Hz is beyond what a loop every {1e3 * model.sample_time:g} ms can do: "
                 f"ask for at most {most:.3g} Hz"
             )
+        if bandwidth > 1.2 * sensible:
+            says.append(f"bandwidth: {bandwidth:.3g} Hz was asked for; {why} would set it at {sensible:.3g} Hz.")
     controller = _tuned(model, draft, bandwidth)
     margins = linear.margins(controller, _joint(model))
     if not math.isfinite(margins.sensitivity):
-        sensible, why = _sensible(model, draft)
         raise BadInput(
             f"bandwidth {bandwidth:g} Hz gives an unstable loop on this model: ask for {sensible:.3g} Hz or less "
             f"({why})"

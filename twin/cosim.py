@@ -171,7 +171,7 @@ def _check_structure(fmu: Fmu, controller: Controller) -> None:
             has, lacks = ("the controller", "the FMU") if here else ("the FMU", "the controller")
             raise BadInput(
                 f"{fmu.path}: {has} has {effect.id}, {lacks} has not: the controller was made for another "
-                "structure; design it from this FMU's model with twin control"
+                "structure; design it from this FMU's model with twin control, or pass --other-structure to try it so"
             )
 
 

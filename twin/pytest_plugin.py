@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from twin import recording as recordings
 from twin.archive import Fmu, open_fmu
 from twin.controller import Controller
 from twin.cosim import Tracking, run
+from twin.errors import BadInput
 from twin.package import Replay, replay
 from twin.reference import Reference
 
@@ -29,6 +30,17 @@ FloatArray = NDArray[np.floating]
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("twin")
     group.addoption("--twin-plots", default="twin-plots", help="folder for the plots of failed checks")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """A file that cannot be used is one line, not a way through our modules."""
+    report = yield
+    if call.excinfo is not None and isinstance(call.excinfo.value, BadInput):
+        report.longrepr = str(call.excinfo.value)
+    return report
 
 
 @dataclass(frozen=True)

@@ -198,6 +198,7 @@ def check(reference: Reference, controller: Controller) -> None:
     total = 1.0 + law.mass(0.0, k[0], p)
     damping = v.get("viscous_friction", 0.0)
     stride = max(1, len(reference.time) // 5000)
+    worst, at = 1.0, -1
     for i in range(0, len(reference.time), stride):
         place, speed = float(reference.position[i]), float(reference.velocity[i])
         side = 1.0 if speed > 0.0 else -1.0
@@ -207,10 +208,15 @@ def check(reference: Reference, controller: Controller) -> None:
         if speed != 0.0:
             need += side * law.grip(place, speed, side, 0.5 * need, p)
         way = 1.0 if need > 0.0 else -1.0
-        most = v["input_gain"] * law.drive(way * g["limit"], damping * speed / v["input_gain"], 0.0, p)
-        if abs(need) > abs(most):
-            raise BadInput(
-                f"{reference.kind} reference asks at t = {reference.time[i]:.4g} s (position {place:.4g}, speed "
-                f"{speed:.4g} {controller.axis_unit}/s) for {abs(need / most):.2g} times what full command can do; "
-                f"the axis reaches {controller.reachable_speed:.3g} {controller.axis_unit}/s: slow it down"
-            )
+        most = way * v["input_gain"] * law.drive(way * g["limit"], damping * speed / v["input_gain"], 0.0, p)
+        share = abs(need) / most if most > 0.0 else math.inf
+        if share > worst:
+            worst, at = share, i
+    if at >= 0:
+        raise BadInput(
+            f"{reference.kind} reference asks for {worst:.3g} times what full command can do at t = "
+            f"{reference.time[at]:.4g} s (position {reference.position[at]:.4g} {controller.axis_unit}, speed "
+            f"{reference.velocity[at]:.4g} {controller.axis_unit}/s, acceleration {reference.acceleration[at]:.4g} "
+            f"{controller.axis_unit}/s^2); the axis reaches {controller.reachable_speed:.3g} {controller.axis_unit}/s "
+            f"and {controller.reachable_acceleration:.3g} {controller.axis_unit}/s^2: slow it down"
+        )

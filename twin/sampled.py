@@ -27,7 +27,7 @@ from twin.writers.python import module as axis_module
 from twin.writers.python import numbering, resolve
 
 #: Memory of the controller between samples.
-MEMORY = ("started", "nominal", "disturbance", "acceleration", "holding", "goal", "flank", "crossings")
+MEMORY = ("started", "nominal", "disturbance", "acceleration", "jerk", "holding", "goal", "flank", "crossings")
 
 #: The design's numbers, in the order of `g`. {x}, {u}: units of axis and input.
 SETTINGS: dict[str, tuple[str, str]] = {
@@ -47,7 +47,7 @@ SETTINGS: dict[str, tuple[str, str]] = {
     "blur": ("{u}", "effective command within which the dead-band is passed in a straight line"),
     "braking": ("1", "share of the available torque on which a large step counts for braking"),
     "calming": ("1/s", "acceleration per velocity that brakes a loop caught hunting across the gap"),
-    "tolerance": ("{x}", "error at rest left alone once the loop has hunted across the gap; it lets go at twice that"),
+    "tolerance": ("{x}", "error at rest left alone once the loop has hunted; beyond twice that it is not"),
 }
 
 
@@ -194,10 +194,18 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
             step(y, p, k, q[0], g.part / g.pieces)
 
     ahead = g.sample_time * (1.0 + g.whole) + g.part
-    goal = reference + ahead * (speed + 0.5 * ahead * acceleration)
-    pace = speed + ahead * acceleration
-    jerk = (acceleration - m.acceleration) / g.sample_time
+    # The lesser of two jerks in a row: a jump of the acceleration is none that goes on.
+    fresh = (acceleration - m.acceleration) / g.sample_time
+    jerk = 0.0
+    if fresh * m.jerk > 0.0:
+        jerk = m.jerk
+        if fresh * fresh < jerk * jerk:
+            jerk = fresh
     m.acceleration = acceleration
+    m.jerk = fresh
+    goal = reference + ahead * (speed + ahead * (0.5 * acceleration + ahead * jerk / 6.0))
+    pace = speed + ahead * (acceleration + 0.5 * ahead * jerk)
+    rise = acceleration + ahead * jerk
 
     total = 1.0 + mass(y.time, k.payload, p)
     pull = load(y.position, y.velocity, y.time, k.moment, p)
@@ -212,12 +220,12 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
         side = -1.0
     held = grip(y.position, 0.0, side, 0.0, p)
     most = -side * p.input_gain * drive(-side * g.limit, 0.0, y.heat, p)
-    spare = g.braking * (most - side * pull + held) / total + side * acceleration
+    spare = g.braking * (most - side * pull + held) / total + side * rise
     least = 0.05 * most / total
     if spare < least:
         spare = least
     closing = approach(away, spare, g)
-    wish = acceleration + g.velocity_gain * (closing + pace - y.velocity)
+    wish = rise + g.velocity_gain * (closing + pace - y.velocity)
     # Three swings across the gap at rest are hunting. A load or friction that holds the flank never lets it begin.
     if m.crossings < 6.0 or side * away > 2.0 * g.tolerance:
         m.holding = 0.0
@@ -225,7 +233,7 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
         m.holding = 1.0
     if m.holding > 0.0:
         closing = 0.0
-        # The load is held up and the motion gently braked: without the pull to the goal nothing keeps it swinging.
+        # The load is held up and the motion gently braked: without the pull to the goal little keeps it swinging.
         wish = resist / total - g.calming * y.velocity
 
     heading = clip(2.0 * y.velocity / g.rest_speed, 2.0) + clip((pace + closing) / g.rest_speed, 1.0)
@@ -236,7 +244,7 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
     if has.motor_lag:
         # The acceleration that the lag's state gives now, and what it would take to change it in time.
         current = (p.input_gain * y.lag + pull + resist - stiction) / total
-        jump = wish + g.acceleration_gain * (acceleration - current) - current + p.lag_time * jerk
+        jump = wish + g.acceleration_gain * (rise - current) - current + p.lag_time * jerk
         moved = 0.25 * g.sample_time
         later = load(y.position + moved * y.velocity, y.velocity + moved * current, y.time, k.moment, p)
         later = later + drag(y.position + moved * y.velocity, y.velocity + moved * current, p)
