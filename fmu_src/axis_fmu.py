@@ -101,8 +101,8 @@ class Axis(Fmi2Slave):
         sizes = (7, len(self.parameters), len(self.known))
         self.advance, self.hold = stepper(str(resources / f"{__name__}_stepper.so"), sizes)
         self.x = self.hold([0.0] * 7)
-        self.p = []
-        self.k = []
+        self.p = self.hold([0.0] * len(self.parameters))
+        self.k = self.hold([0.0] * len(self.known))
         self.ready = False
         self.clock = None  # where the last step ended, in the importer's time
         self.changed = True
@@ -151,7 +151,7 @@ class Axis(Fmi2Slave):
         v, x = self.v, self.x
         v[self.outer] = x[:2]
         v[self.hidden] = x[2:]
-        v[self.measured] = x[0] + (sensor(x[0], self.p) if self.p else 0.0)  # noqa: F821
+        v[self.measured] = x[0] + sensor(x[0], self.p)  # noqa: F821
 
     # Steps
 
@@ -177,10 +177,8 @@ class Axis(Fmi2Slave):
             return "the axis is not initialised: end the initialisation mode first"
         if not finite(self.v[0]):
             return f"input {self.variables[0]['name']} is {self.v[0]}: set a finite number"
-        if not finite(time + length) or length < 0.0:
-            return "the time is not finite or the step is negative: steps go forward"
-        if length > self.most:
-            return "the step is too long: give shorter ones"
+        if not (finite(time) and 0.0 <= length <= self.most):
+            return f"a step of {length} s at {time} s is negative, not finite or too long: give one up to {self.most} s"
         if self.clock is not None and abs(time - self.clock) > 0.01 * length + 1e-9:
             if time < self.clock:
                 return f"time goes back, the last step ended at {self.clock} s: go on there or restore a state"

@@ -19,7 +19,7 @@ from twin.errors import BadInput
 
 #: Nothing that changes a number: no fused operations; a root is an instruction, since nobody asks for errno.
 OPTIONS = (
-    "-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",
+    "-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden",
     "-Werror=implicit-function-declaration",
 )  # fmt: skip
 
