@@ -6,7 +6,10 @@ import re
 import subprocess
 import sys
 import tomllib
+import xml.etree.ElementTree as ET
+import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -294,6 +297,51 @@ def test_cosim_writes_its_run(capsys, bench):
     table = np.genfromtxt(bench / "run.csv", delimiter=",", names=True)
     assert table.dtype.names == ("time", "reference", "position", "input")
     assert np.max(np.abs(table["position"] - table["reference"])) < 0.1
+
+
+def test_cosim_takes_other_names_other_structures_and_draws(capsys, bench):
+    with zipfile.ZipFile(bench / "arm.fmu") as old, zipfile.ZipFile(bench / "theirs.fmu", "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            if name == "modelDescription.xml":
+                content = content.replace(b'name="duty"', b'name="u"').replace(b'name="position"', b'name="phi"')
+            new.writestr(name, content)
+    said = refused(capsys, bench, "cosim", "theirs.fmu", "c.toml")
+    assert "no input 'duty', only u: map it (duty=NAME)" in said
+    assert "write it as OURS=THEIRS" in refused(capsys, bench, "cosim", "theirs.fmu", "c.toml", "--map", "duty")
+    told = ["--map", "duty=u", "--map", "position=phi", "--plot", "run.svg", "--json", "-", "--reference", "step"]
+    code, out, _ = call(capsys, "cosim", "theirs.fmu", "c.toml", *told, "--amplitude", "0.2")
+    usual = call(capsys, "cosim", "arm.fmu", "c.toml", "--json", "-", "--reference", "step", "--amplitude", "0.2")[1]
+    assert code == 0 and json.loads(out) == json.loads(usual) and json.loads(out)["peak"] < 0.21
+    assert ET.parse(bench / "run.svg").getroot().tag.endswith("svg")
+    assert cli.main(["export", "base.toml", "--out", "base.fmu", "--quiet"]) == 0
+    assert "--other-structure" in refused(capsys, bench, "cosim", "base.fmu", "c.toml")
+    assert call(capsys, "cosim", "base.fmu", "c.toml", "--other-structure")[0] == 0
+    assert "shape minimum-jerk" in refused(
+        capsys, bench, "cosim", "arm.fmu", "c.toml", "--reference", "good.csv", "--amplitude", "1"
+    )
+
+
+def test_control_says_when_the_parameters_are_too_uncertain(capsys, bench):
+    found = model.read(bench / "model.toml")
+    names, gravity = found.fitted, found.fitted.index("gravity_gain")
+    for name, std in (("sure", 1e-3), ("vague", 2.5)):
+        spread = np.full(len(names), 1e-5)
+        spread[gravity] = std
+        (bench / f"{name}.toml").write_text(model.dumps(replace(found, covariance=np.diag(spread**2))))
+    told = ["--bandwidth", "2", "--draws", "40", "--max-peak"]
+    code, out, _ = call(capsys, "control", "sure.toml", "--out", "d.toml", *told, "0.005", "--json", "sure.json")
+    assert code == 0 and "Over 40 axes that the recording allows" in out
+    assert json.loads((bench / "sure.json").read_text())["robustness"]["share"] == 1.0
+    code, out, _ = call(capsys, "control", "vague.toml", "--out", "e.toml", *told, "0.005")
+    assert code == 1 and "too uncertain for 2 Hz: learn gravity_gain better" in out
+    code, out, _ = call(capsys, "control", "sure.toml", "--out", "f.toml", *told, "1e-5")
+    assert code == 1 and "Even with the parameters as they stand" in out and "learn" not in out
+    assert "give an error above 0" in refused(capsys, bench, "control", "sure.toml", "--out", "g.toml", *told, "0")
+    (bench / "hand.toml").write_text(model.dumps(replace(found, fitted=(), covariance=np.zeros((0, 0)))))
+    assert "no covariance" in refused(capsys, bench, "control", "hand.toml", "--out", "g.toml", *told, "1")
+    code, out, _ = call(capsys, "control", "hand.toml", "--out", "g.toml")
+    assert code == 0 and "no covariance" in out
 
 
 def test_the_rigs_own_loop_is_closed_where_asked(capsys, bench):
