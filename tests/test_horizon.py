@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,7 +13,7 @@ from twin import identify, likelihood
 from twin.axis import Structure
 from twin.errors import BadInput
 from twin.model import Model
-from twin.recording import Recording
+from twin.recording import Loop, Recording
 
 STRUCTURE = Structure.of(["inertia", "viscous_friction", "coulomb_friction"])
 TRUTH = {"input_gain": 0.4, "viscous_friction": 1.5, "coulomb_friction": 1.0}
@@ -56,6 +57,24 @@ def test_an_incomplete_model_runs_better_where_nothing_was_fitted() -> None:
     likeliest, ahead = models(0.05)
     fresh = [recorded(seed, 0.05) for seed in (3, 4, 5)]
     assert sum(free_run(ahead, r) for r in fresh) < 0.7 * sum(free_run(likeliest, r) for r in fresh)
+
+
+def test_under_the_own_loop_the_values_are_those_of_the_loop() -> None:
+    """The input is logged a third too large: the loop's own motion knows better."""
+    loop, time = Loop("P", gain=150.0, limit=80.0), 0.002 * np.arange(8000)
+    made = Recording(
+        "made", time, np.zeros(8000), np.zeros(8000), "%", "rad", loop=loop,
+        optional={"reference": np.sin(2.0 * time) + 0.5 * np.sign(np.sin(1.3 * time))},
+    )  # fmt: skip
+    case = likelihood.prepare(made, STRUCTURE, closed=True)
+    position = -likelihood.innovations(case, STRUCTURE, TRUTH, 0.0).error
+    wish = np.clip(150.0 * (made.optional["reference"] - position), -80.0, 80.0)
+    recording = replace(made, output=np.round(position / COUNT) * COUNT, input=1.33 * wish, resolution=COUNT)
+    likeliest = identify.identify([recording], STRUCTURE)
+    assert likeliest.values["input_gain"] < 0.8 * TRUTH["input_gain"]
+    closed = identify.for_horizon(likeliest, [recording], 16.0, closed=True)
+    for name, true in TRUTH.items():
+        assert closed.values[name] == pytest.approx(true, rel=0.03)
 
 
 @pytest.mark.parametrize("horizon", [0.0, -1.0, float("nan")])

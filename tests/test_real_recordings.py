@@ -80,6 +80,8 @@ def test_one_sensor_has_one_noise_however_quick_the_motion() -> None:
     assert alone[1] > 10.0 * alone[0]
     together = identify.prepare(recordings, structure)
     assert [c.reading_variance for c in together] == pytest.approx([count**2 / 12.0] * 2, rel=0.5)
+    speeds = identify.prepare([replace(r, output_unit="rad/s") for r in recordings], structure)
+    assert [c.reading_variance for c in speeds] == alone
 
 
 def quick(name: str, candidates: Sequence[str] = CANDIDATES) -> Search:

@@ -192,7 +192,7 @@ def _identify(args: argparse.Namespace) -> int:
         tell("reading the recording", 0.0)
         recordings, rig = _load(args)
         structure = pipeline.first_structure(rig, args.more, args.fewer)
-        found = pipeline.estimate(recordings, structure, args.method, tell, args.horizon)
+        found = pipeline.estimate(recordings, structure, args.method, tell, args.horizon, args.closed)
     files.put(args.out, model.dumps(found))
     said = [
         *_assumptions(rig),
@@ -561,6 +561,7 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
         "--horizon", type=float, metavar="SECONDS",
         help="the values that predict best this far ahead, for a model that lacks something; default: the likeliest",
     )  # fmt: skip
+    _add_closed(identify)
 
     export = add("export", _export, "a model, or a controller, as an FMU")
     export.add_argument("model", type=Path, metavar="MODEL.toml", help="a model, or a CONTROLLER.toml")

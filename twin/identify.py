@@ -75,11 +75,15 @@ def coarse(
     return best
 
 
-def prepare(recordings: Sequence[Recording], structure: Structure) -> list[Case]:
-    """The recordings made ready. One sensor read them all: where a quick motion between few stamps makes its readings
-    look noisy, those of a slow one say how good they are.
+def prepare(recordings: Sequence[Recording], structure: Structure, closed: bool = False) -> list[Case]:
+    """The recordings made ready; `closed` under the rig's own loop.
+
+    One sensor read all positions: where a quick motion between few or late stamps makes them look noisy, those of a
+    slow one say how good they are. A speed is counted, and noisier at some than others.
     """
-    cases = [likelihood.prepare(r, structure) for r in recordings]
+    cases = [likelihood.prepare(r, structure, closed) for r in recordings]
+    if any(r.is_speed for r in recordings):
+        return cases
     least = min((c.reading_variance for c in cases), default=0.0)
     return [replace(c, reading_variance=least) for c in cases]
 
@@ -331,19 +335,24 @@ def to_model(cases: Sequence[Case], point: Point, recordings: Sequence[Recording
     )
 
 
-def for_horizon(model: Model, recordings: Sequence[Recording], horizon: float) -> Model:
+def for_horizon(model: Model, recordings: Sequence[Recording], horizon: float, closed: bool = False) -> Model:
     """The model with the values that predict best up to `horizon` seconds ahead, found from its own, the likeliest.
 
     Where the structure is complete both are the same but for noise, and the likeliest are the sharper. Where it is
     not, the likeliest serve the next reading, and a long free run is served by others: those that make up for what is
     missing on the way. From window to longer window the model runs freely, because the error of a long run has many
-    valleys; of all values that were passed the best over the horizon itself are kept. Raises BadInput.
+    valleys; of all values that were passed the best over the horizon itself are kept. `closed` predicts from the
+    reference under the rig's own loop, not from the recorded input. Raises BadInput.
     """
     if not horizon > 0.0:
         raise BadInput(f"the horizon is {horizon:g} s: give a time above 0")
     train = [r for r in recordings if r.role == "train"]
     structure = model.structure
-    cases = with_steps(_choose_contacts(prepare(train, structure), structure, model.values), structure)
+    open_ = _choose_contacts(prepare(train, structure), structure, model.values)
+    cases = with_steps(open_, structure)
+    if closed:
+        under = prepare(train, structure, closed)
+        cases = with_steps([replace(c, contact=o.contact) for c, o in zip(under, open_, strict=True)], structure)
     density = model.torque_density / model.reading_std**2
     longest = min(horizon, max(float(c.drive.time[-1]) for c in cases))
 
@@ -375,7 +384,7 @@ def for_horizon(model: Model, recordings: Sequence[Recording], horizon: float) -
         covariance=covariance,
         intervals={},
         notes=_notes(best, covariance),
-        provenance={**model.provenance, "horizon": f"{horizon:g} s"},
+        provenance={**model.provenance, "horizon": f"{horizon:g} s{', under the own loop' if closed else ''}"},
     )
 
 

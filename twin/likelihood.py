@@ -194,7 +194,8 @@ def ahead(case: Case, density: float, horizon: float) -> Case:
     """The case for predictions up to `horizon` seconds ahead: free runs of that length, or to the recording's end, each
     after a few memories of the filter in which it finds the state.
     """
-    lead = max(5.0 * memory_of(case, density), LEAST_READINGS * step_of(case))
+    settled = min(5.0 * memory_of(case, density), 0.1 * float(case.drive.time[-1]))
+    lead = max(settled, LEAST_READINGS * step_of(case))
     return replace(case, free=np.asarray(case.drive.time % (lead + horizon) >= lead))
 
 

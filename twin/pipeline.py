@@ -143,20 +143,24 @@ def check_folder(out: Path, force: bool) -> None:
 
 
 def estimate(
-    recordings: Sequence[Recording], structure: Structure, method: str, tell: Progress, horizon: float | None = None
-) -> Model:
-    """A model by either method, with the values that predict best over a horizon (s) if one is given.
+    recordings: Sequence[Recording], structure: Structure, method: str, tell: Progress, horizon: float | None = None,
+    closed: bool = False,
+) -> Model:  # fmt: skip
+    """A model by either method, with the values that predict best over a horizon (s) if one is given, from the recorded
+    input or, `closed`, under the rig's own loop.
 
     Raises BadInput where the recordings do not allow it.
     """
     if horizon is not None and method != "joint":
         raise BadInput(f"--horizon goes with --method joint, not {method}: leave one of them out")
+    if closed and horizon is None:
+        raise BadInput("--closed says how to predict over a horizon: add --horizon SECONDS")
     if method == "joint":
         compile_kernel(tell)
         found = identify.identify(recordings, structure, progress=lambda s, x: tell(s, 0.05 + 0.85 * x))
         if horizon is not None:
             tell(f"the best values over {horizon:g} s", 0.9)
-            found = identify.for_horizon(found, recordings, horizon)
+            found = identify.for_horizon(found, recordings, horizon, closed)
     else:
         tell("steady states and transients", 0.1)
         train = [r for r in recordings if r.role == "train"]
