@@ -81,3 +81,8 @@ def test_under_the_own_loop_the_values_are_those_of_the_loop() -> None:
 def test_a_horizon_lies_ahead(horizon: float) -> None:
     with pytest.raises(BadInput, match="time above 0"):
         identify.for_horizon(models(0.0)[0], [recorded(1, 0.0)], horizon)
+
+
+def test_a_model_without_an_estimate_is_no_start() -> None:
+    with pytest.raises(BadInput, match="no estimate to start from"):
+        identify.for_horizon(Model(STRUCTURE, TRUTH), [recorded(1, 0.0)], 1.0)

@@ -16,11 +16,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import manifests
 import real_recordings
 
-from twin import explain, extend, identify, likelihood, pipeline, recording
+from twin import explain, extend, identify, kernel, likelihood, pipeline, recording
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES
 from twin.extend import Search
-from twin.recording import Recording
+from twin.model import Model
+from twin.recording import Loop, Recording
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -80,8 +81,46 @@ def test_one_sensor_has_one_noise_however_quick_the_motion() -> None:
     assert alone[1] > 10.0 * alone[0]
     together = identify.prepare(recordings, structure)
     assert [c.reading_variance for c in together] == pytest.approx([count**2 / 12.0] * 2, rel=0.5)
-    speeds = identify.prepare([replace(r, output_unit="rad/s") for r in recordings], structure)
-    assert [c.reading_variance for c in speeds] == alone
+
+
+def test_the_floor_of_a_changed_friction_is_what_an_exact_model_errs() -> None:
+    structure = Structure.of(["inertia", "viscous_friction", "coulomb_friction"])
+    truth = {"input_gain": 0.37, "viscous_friction": 2.1, "coulomb_friction": 0.2}
+    model = Model(structure, truth, fitted=tuple(truth), covariance=1e-6 * np.eye(3), axis_unit="m", input_unit="V",
+                  sample_time=0.001, reading_std=1e-7, torque_density=1e-6)  # fmt: skip
+    time = 0.001 * np.arange(12000)
+    loop = Loop("P-P", kp=160.0, kv=240.0)
+    reference = 0.1 * np.abs((0.25 * time) % 2.0 - 1.0)
+
+    def made(role: str, friction: float) -> Recording:
+        asked = Recording("made", time, time, 0.1 + 0.0 * time, "V", "m", role=role, loop=loop,
+                          optional={"reference": reference})  # fmt: skip
+        case = likelihood.prepare(asked, structure, closed=True)
+        p = kernel.vector(structure, {**truth, "coulomb_friction": friction})
+        place, states = kernel.predict(case.drive, p, kernel.start_state(0.1, 0.0, 0.0), kernel.free_gains(12000), True)
+        wish = loop.kv * (loop.kp * (reference - place) - states[:, 1])
+        return replace(asked, input=wish, output=place)
+
+    both = [made("train", 0.2), made("holdout", 0.21)]
+    said = real_recordings._emps_floor(both, model)
+    errors = [e[20:] for _, e in real_recordings._run(model, both[1:])]
+    assert float(said.split(" mm")[0]) == pytest.approx(1e3 * real_recordings._rms(errors), rel=0.15)
+    assert real_recordings._rms(errors) > 1e-3
+    assert real_recordings._rms([e for _, e in real_recordings._run(model, both[:1])]) < 1e-4
+
+
+def test_the_floor_of_a_counted_speed_is_its_rounding() -> None:
+    time = np.arange(0.0, 1.9, 0.001)
+    count = 4.0
+    runs = [
+        Recording(f"{u:g}", time, np.full(len(time), u), count * np.round((v + 8.0 * time) / count), "%", "rad/s",
+                  resolution=count, role="holdout")
+        for u, v in ((20.0, 60.0), (80.0, 300.0))
+    ]  # fmt: skip
+    said = real_recordings._jga25_floor(runs, Model(Structure.of(["inertia"]), {"input_gain": 1.0}))
+    total, rounding = float(said.split()[1]), float(said.split()[-1])
+    assert rounding == pytest.approx(30.0 / np.pi * count / np.sqrt(12.0), rel=0.01)
+    assert total == pytest.approx(np.hypot(rounding, 30.0 / np.pi * 8.0 * 0.6 / np.sqrt(12.0)), rel=0.1)
 
 
 def quick(name: str, candidates: Sequence[str] = CANDIDATES) -> Search:

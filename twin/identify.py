@@ -78,12 +78,10 @@ def coarse(
 def prepare(recordings: Sequence[Recording], structure: Structure, closed: bool = False) -> list[Case]:
     """The recordings made ready; `closed` under the rig's own loop.
 
-    One sensor read all positions: where a quick motion between few or late stamps makes them look noisy, those of a
-    slow one say how good they are. A speed is counted, and noisier at some than others.
+    One sensor read them all: where a quick motion between few or late stamps makes its readings look noisy, those of a
+    slow one say how good they are.
     """
     cases = [likelihood.prepare(r, structure, closed) for r in recordings]
-    if any(r.is_speed for r in recordings):
-        return cases
     least = min((c.reading_variance for c in cases), default=0.0)
     return [replace(c, reading_variance=least) for c in cases]
 
@@ -346,6 +344,8 @@ def for_horizon(model: Model, recordings: Sequence[Recording], horizon: float, c
     """
     if not horizon > 0.0:
         raise BadInput(f"the horizon is {horizon:g} s: give a time above 0")
+    if not model.fitted or model.reading_std <= 0.0:
+        raise BadInput("the model holds no estimate to start from: make it with twin identify")
     train = [r for r in recordings if r.role == "train"]
     structure = model.structure
     open_ = _choose_contacts(prepare(train, structure), structure, model.values)
