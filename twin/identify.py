@@ -307,7 +307,7 @@ def _remedy(name: str, partner: str) -> str:
 
 def to_model(cases: Sequence[Case], point: Point, recordings: Sequence[Recording], held: Mapping[str, float]) -> Model:
     """The point as a model, with standard errors and where it comes from."""
-    covariance = point.robust_covariance
+    covariance = likelihood.robust_covariance(with_steps(cases, point.structure), point)
     first = recordings[0]
     variance = cases[0].reading_variance * point.scale
     known = {k: v for k, v in likelihood.known_quantities(first).items() if v}
@@ -419,5 +419,5 @@ def identify(
     tell("profiles of the likelihood", 0.85)
     names = [n for n in PROFILED if n in point.free]
     with ThreadPoolExecutor(2) as pool:
-        found = pool.map(lambda n: likelihood.profile_interval(cases, point, n), names)
+        found = pool.map(lambda n: likelihood.profile_interval(cases, point, n, model.std(n)), names)
         return replace(model, intervals=dict(zip(names, found, strict=True)))

@@ -1,0 +1,96 @@
+"""Steps of the search within bounds, the noise of landings, and standard errors where the model errs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from twin import identify, kernel, likelihood
+from twin.axis import Structure
+from twin.effects.catalogue import BASE
+from twin.likelihood import Case, Point
+from twin.recording import Recording
+
+STRUCTURE = Structure.of(BASE)
+VALUES = {
+    "input_gain": 0.3, "viscous_friction": 2.0, "dead_band_forward": 4.0, "dead_band_reverse": 5.0,
+    "backlash_gap": 0.03, "motor_share": 0.25, "friction_share": 0.7,
+}  # fmt: skip
+FREE = tuple(VALUES)
+COUNT = 2e-4
+
+
+def bounds(point: Point) -> np.ndarray:
+    found = {p.name: (p.lower, p.upper) for p in STRUCTURE.parameters}
+    return np.array([found[n] for n in point.free])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_step_is_the_best_one_within_the_bounds(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    size = np.array([0.05, 0.5, 1.0, 1.0, 0.02, 0.2, 0.4])
+    root = rng.standard_normal((12, 7)) / size
+    wanted = size * rng.standard_normal(7) * 3.0
+    normal = root.T @ root
+    point = Point(STRUCTURE, VALUES, 1.0, FREE, 0.0, 1.0, normal, normal @ wanted, normal)
+    here, limits = np.array(list(VALUES.values())), bounds(point)
+    moved = likelihood._moved(point, 0.0)
+    step = np.array([moved[n] for n in FREE]) - here
+    assert likelihood.within_bounds(moved)
+    best = lsq_linear(root, root @ wanted, (limits[:, 0] - here, limits[:, 1] - here), tol=1e-12).x
+
+    def gain(change: np.ndarray) -> float:
+        return float(2.0 * point.gradient @ change - change @ normal @ change)
+
+    assert gain(step) > 0.95 * gain(best) > 0.0
+
+
+def made(correlated: float = 0.0, shaken: float = 0.0, duration: float = 30.0, seed: int = 1) -> Case:
+    """A square wave of several heights on the base model, read in counts; `correlated` counts of slow error.
+
+    `shaken` is the noise of the duty, unknown to the reader, while the motor crosses the gap.
+    """
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(duration / 0.002)) * 0.002
+    duty = np.repeat(rng.uniform(15.0, 60.0, len(time) // 250) * (-1.0) ** np.arange(len(time) // 250), 250)
+    since = time % 0.5
+    unknown = np.where(since < 0.05, shaken * np.repeat(rng.standard_normal(len(time) // 25), 25), 0.0)
+    blank = Recording("made", time, duty, np.zeros(len(time)), "%", "rad", COUNT)
+    case = likelihood.prepare(replace(blank, input=duty + unknown), STRUCTURE)
+    x = kernel.start_state(0.0, 0.0, 0.0)
+    position, _ = kernel.predict(case.drive, kernel.vector(STRUCTURE, VALUES), x, kernel.free_gains(len(time)))
+    slow = np.convolve(rng.standard_normal(len(time) + 99), np.full(100, 0.1), "valid")
+    read = position + COUNT * (rng.uniform(-0.5, 0.5, len(time)) + correlated * slow)
+    return likelihood.prepare(replace(blank, output=read), STRUCTURE)
+
+
+@pytest.mark.parametrize(("correlated", "least", "most"), [(0.0, 1.0, 1.6), (1.0, 2.0, 30.0)])
+def test_errors_that_hang_together_widen_the_standard_errors(correlated: float, least: float, most: float) -> None:
+    case = made(correlated)
+    density = likelihood.density_of(case, 0.2)
+    point = likelihood.climb([case], STRUCTURE, VALUES, density, FREE)
+    wider = np.sqrt(np.diag(likelihood.robust_covariance([case], point)) / np.diag(point.covariance))
+    assert least <= float(np.median(wider)) < most
+
+
+def test_landings_are_where_the_gap_closes() -> None:
+    case = made()
+    noise = likelihood.landings(case, STRUCTURE, VALUES, 1.0)
+    turned = case.drive.time[np.flatnonzero(np.diff(np.sign(case.drive.command)))]
+    since = case.drive.time - turned[np.maximum(np.searchsorted(turned, case.drive.time, "right") - 1, 0)]
+    assert noise.max() > 0.0
+    assert noise[since > 0.3].max() == 0.0
+    steady = replace(case, drive=replace(case.drive, command=np.full(len(case.drive.time), 40.0)), contact=1.0)
+    assert likelihood.landings(steady, STRUCTURE, VALUES, 0.0).max() == 0.0
+
+
+@pytest.mark.parametrize(("shaken", "loud"), [(0.0, False), (20.0, True)])
+def test_landings_are_as_uncertain_as_the_recording_says(shaken: float, loud: bool) -> None:
+    case = made(shaken=shaken)
+    point = likelihood.evaluate([case], STRUCTURE, VALUES, likelihood.density_of(case, 0.2))
+    share, _, told = identify.loudness([case], point)
+    assert (share > 0.0) == loud
+    assert (told[0].knocks is not None) == loud
