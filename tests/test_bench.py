@@ -1,7 +1,8 @@
-"""The benchmark of the FMU runs and prints every line; how fast that is, is for its reader."""
+"""The benchmarks run and print every line; how fast that is, is for their reader."""
 
 from __future__ import annotations
 
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -11,6 +12,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
 import fmu_cost
+import long_recording
+import modestpy_comparison
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler is installed")
@@ -26,3 +29,24 @@ def test_what_a_step_costs_is_printed(monkeypatch, capsys):
         "bare C loop", "native FMI 2, from C", "native FMI 3, from C", "FMPy's own share, whatever the steps",
         "plainest pythonfmu slave, less FMPy", "pythonfmu FMU, less FMPy", "the same where nothing compiled loads",
     ]  # fmt: skip
+
+
+def test_time_and_memory_of_a_recording_are_printed(capsys):
+    long_recording.bench_long([0.2])
+    said = capsys.readouterr().out
+    found = re.fullmatch(r"twin identify, +0 min, +6000 samples: +\d+ s .* memory +(\d+) MB; .*: (\w+), \S+ %\n", said)
+    assert found, said
+    assert int(found[1]) > 100 and found[2] in long_recording.VALUES
+
+
+def test_the_fit_that_others_are_compared_with_finds_the_truth(capsys):
+    values, seconds = modestpy_comparison.ours(modestpy_comparison.made(3000))
+    assert modestpy_comparison.error(values) < 1e-9 and seconds > 0.0
+
+
+def test_a_missing_modestpy_is_named(tmp_path):
+    without = tmp_path / "python"
+    without.write_text("#!/bin/sh\nexit 1\n")
+    without.chmod(0o755)
+    with pytest.raises(SystemExit, match="ModestPy is not installed"):
+        modestpy_comparison.theirs(modestpy_comparison.made(100), str(without))
