@@ -58,6 +58,29 @@ def test_what_is_modelled_is_cancelled(effect: str) -> None:
     assert np.max(np.abs(position - reference.position)) < 3 * model.resolution
 
 
+def test_a_known_delay_costs_no_tracking() -> None:
+    """What must happen a delay from now is read off the reference's own derivatives."""
+    errors = []
+    for delay in (0.0, 0.02):
+        model = axis("input_delay", delay=delay)
+        made = design(model, 2.4)
+        errors.append(rms(model, made, make_reference("sine", made)))
+    assert errors[1] < 2.0 * errors[0] and errors[1] < 0.2 * model.resolution
+
+
+def test_a_jump_of_the_acceleration_is_taken_for_a_jump_not_for_a_jerk() -> None:
+    model = axis("input_delay", delay=0.02)
+    made = design(model, 2.4)
+    time = np.arange(2000) * made.sample_time
+    rise = np.where(time < 1.0, 0.0, np.where(time < 2.0, 2.0, np.where(time < 3.0, -2.0, 0.0)))
+    pace = np.concatenate([[0.0], np.cumsum(rise[:-1]) * made.sample_time])
+    place = np.concatenate([[0.0], np.cumsum(pace[:-1] + 0.5 * made.sample_time * rise[:-1]) * made.sample_time])
+    position, command = trial(model, made, Reference("trapezoid", time, place, pace, rise))
+    assert np.max(np.abs(position - place)) < 0.01
+    holds = (rise + 1.5 * pace) / 0.3 + np.where(pace != 0.0, 10.0, 0.0)
+    assert np.max(np.abs(command)) < 1.5 * np.max(np.abs(holds))
+
+
 #: Strong enough to be felt; what is not here is in PLANTED.
 MORE = {
     "inertia": {"input_gain": 0.5},
@@ -164,7 +187,7 @@ def test_compliant_teeth_hunt_no_more_or_less(rings: float, damping: float, pull
 
 
 def test_load_that_holds_the_flank_refutes_the_prediction_and_needs_no_tolerance() -> None:
-    model = axis("gravity", gravity_gain=6.0, gravity_angle=0.4, backlash_gap=0.02)
+    model = axis("gravity", gravity_gain=9.0, gravity_angle=0.4, backlash_gap=0.02)
     made = design(model, 2.0)
     tracking = simulate(model, made, make_reference("minimum-jerk", made))
     assert tracking.hunting is not None and tracking.hunting.verdict == "refuted"

@@ -22,8 +22,8 @@ from twin.model import Model
 
 FAST = 4.0  # observer over loop
 SLOW = 0.5  # integral action over loop
-TOLERATED = 1.2  # error left alone at rest, once the loop has hunted, over the amplitude of its hunting
-CALM = 0.3  # velocity gain over the loop's from then on
+TOLERATED = 1.2  # error left alone at rest, where the loop would hunt, over the amplitude of its hunting
+CALM = 0.3  # velocity gain over the loop's once it has hunted
 CALM_ELASTIC = 0.12  # the same for compliant teeth, which throw the link back: more keeps it in motion
 FULL_DRIVE = {"%": 100.0}
 SPREAD_OF_NOISE = 0.03  # share of the limit that noise may take of the command
@@ -217,6 +217,7 @@ def _draft(model: Model, limit: float) -> Controller:
         "rest_speed": 1.0,
         "blur": 1.0,
         "braking": 0.7,
+        "hunting": 0.0,
         "calming": 0.0,
         "tolerance": 0.0,
     }
@@ -289,8 +290,8 @@ def _remarks(model: Model, controller: Controller) -> list[str]:
             says.append(
                 f"limit cycle: by its describing function the gap would let the loop hunt by {cycle.amplitude:.3g} "
                 f"{model.axis_unit} at {cycle.frequency:.3g} Hz where neither load nor friction "
-                f"holds the flank; after three such swings at rest errors below {controller.settings['tolerance']:.3g} "
-                f"{model.axis_unit} are left alone, and the motion is only braked."
+                f"holds the flank; there, and wherever it has swung three times at rest, errors below "
+                f"{controller.settings['tolerance']:.3g} {model.axis_unit} are left alone."
             )
     limit = controller.settings["limit"]
     says.append(
@@ -339,7 +340,10 @@ def design(model: Model, bandwidth: float | None = None, limit: float | None = N
             f"({why})"
         )
     cycle = _hunting(controller)
-    settings = {**controller.settings, "tolerance": TOLERATED * cycle.amplitude if cycle else 0.0}
+    settings = dict(controller.settings)
+    if cycle is not None:
+        settings["tolerance"] = TOLERATED * cycle.amplitude
+        settings["hunting"] = cycle.amplitude * (2.0 * math.pi * cycle.frequency) ** 2
     controller = replace(controller, settings=settings, margins=margins, limit_cycle=cycle)
     return replace(controller, remarks=(*says, *_remarks(model, controller)))
 

@@ -46,8 +46,9 @@ SETTINGS: dict[str, tuple[str, str]] = {
     "rest_speed": ("{x}/s", "speed below which the observer cannot tell motion from rest"),
     "blur": ("{u}", "effective command within which the dead-band is passed in a straight line"),
     "braking": ("1", "share of the available torque on which a large step counts for braking"),
+    "hunting": ("{x}/s^2", "load or friction that holds the flank, so that the loop cannot hunt across the gap"),
     "calming": ("1/s", "acceleration per velocity that brakes a loop caught hunting across the gap"),
-    "tolerance": ("{x}", "error at rest left alone once the loop has hunted; beyond twice that it is not"),
+    "tolerance": ("{x}", "error at rest left alone where the loop would hunt; beyond twice that it is not"),
 }
 
 
@@ -180,7 +181,8 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
         x.motor_velocity = x.motor_velocity + g.observer_velocity * error
     else:
         x.gap = clip(x.gap - g.observer_position * error, 0.5 * p.backlash_gap)
-    m.disturbance = m.disturbance + g.observer_disturbance * error
+    if m.holding == 0.0 or m.crossings >= 6.0:
+        m.disturbance = m.disturbance + g.observer_disturbance * error
     p.offset = m.nominal + m.disturbance
 
     whole = int(g.whole)
@@ -226,15 +228,24 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
         spare = least
     closing = approach(away, spare, g)
     wish = rise + g.velocity_gain * (closing + pace - y.velocity)
-    # Three swings across the gap at rest are hunting. A load or friction that holds the flank never lets it begin.
-    if m.crossings < 6.0 or side * away > 2.0 * g.tolerance:
+    # Where neither load nor friction holds the flank, a loop that has come to rest near its goal had better leave it.
+    quiet = 0.0
+    if clip(pull, g.hunting - held) == pull and clip(y.velocity, g.rest_speed) == y.velocity:
+        if speed == 0.0 and acceleration == 0.0:
+            quiet = 1.0
+    # Three swings across the gap at rest are hunting, whatever should have held it.
+    if m.crossings >= 6.0:
+        quiet = 1.0
+    if side * away > 2.0 * g.tolerance:
         m.holding = 0.0
-    elif side * away < g.tolerance:
+    elif side * away < g.tolerance and quiet > 0.0:
         m.holding = 1.0
     if m.holding > 0.0:
         closing = 0.0
-        # The load is held up and the motion gently braked: without the pull to the goal little keeps it swinging.
-        wish = resist / total - g.calming * y.velocity
+        # The load is held up; what hunts is gently braked: without the pull to the goal little keeps it swinging.
+        wish = resist / total
+        if m.crossings >= 6.0:
+            wish = wish - g.calming * y.velocity
 
     heading = clip(2.0 * y.velocity / g.rest_speed, 2.0) + clip((pace + closing) / g.rest_speed, 1.0)
     heading = clip(heading, 1.0)
