@@ -326,12 +326,14 @@ def evaluate(
         z2s.append(r.error[ok] ** 2 / r.variance[ok])
         logs += float(np.log(r.variance[ok]).sum())
         count += int(ok.sum())
-    joined = np.concatenate(z2s)
+    if long:
+        results = []
+    joined = z2s[0] if len(z2s) == 1 else np.concatenate(z2s)
     if not np.all(np.isfinite(joined)) or count == 0:
         return lost
     scale = _scale_of(joined)
-    loss, _ = _loss(joined / scale)
-    deviance = float(loss.sum()) + logs + count * math.log(scale)
+    loss = sum(float(_loss(joined[i : i + AT_ONCE] / scale)[0].sum()) for i in range(0, count, AT_ONCE))
+    deviance = loss + logs + count * math.log(scale)
     normal, gradient, scatter, stretches = np.zeros((n, n)), np.zeros(n), np.zeros((n, n)), 0
     if n:
         ids, pulls = [], []
