@@ -16,8 +16,10 @@ FloatArray = NDArray[np.float64]
 #: Deviance that a parameter must earn. More than BIC's log(N): real rigs differ from every model a little, and the
 #: best of twenty candidates is not one candidate (calibrated on rigs with nothing missing, scripts/blind_trial.py).
 PRICE = 15.0
-#: Gain in the criterion below which nothing is said to be missing.
-LEAST = 200.0
+#: Gain in the criterion, in units of what deviance is worth, below which nothing is said to be missing.
+LEAST = 60.0
+#: Deviance of a model that errs is worth this little at the least: beyond it is not the unit that grows but the mess.
+MOST_UNITS = 20.0
 #: Share of the deviance explained so far that a further effect must earn beside its price.
 FRACTION = 0.04
 #: Deviance that counts as one unit of log-odds times two: a model that errs a little makes likelihoods too sure.
@@ -27,6 +29,16 @@ TEMPER = 20.0
 def criterion(point: Point) -> float:
     """Deviance plus the price of the parameters."""
     return point.deviance + PRICE * len(point.free)
+
+
+def needed(point: Point) -> float:
+    """Gain in the criterion from which on an addition that ends in this point is more than the model's own errors.
+
+    Where innovations stay correlated, because the model errs or nobody sees the motor in its gap, each says again
+    what the one before it said, and deviance counts them all (`Point.unit`).
+    """
+    unit = point.unit
+    return LEAST * (min(max(unit, 1.0), MOST_UNITS) if math.isfinite(unit) else MOST_UNITS)
 
 
 def weights(criteria: Sequence[float]) -> FloatArray:

@@ -47,7 +47,7 @@ class Search:
 def _worth(before: Point, after: Point, explained: float) -> bool:
     """Whether an addition earns its place."""
     gain = compare.criterion(before) - compare.criterion(after)
-    return gain > compare.LEAST + compare.FRACTION * explained
+    return gain > compare.needed(after) + compare.FRACTION * explained
 
 
 def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
@@ -316,7 +316,8 @@ def _nameless(found: Search, left: unknown.Leftover) -> Point:
     terms = unknown.which_variables(left)
     tried = [unknown.fit_unknown(found.cases, found.first, v) for v in terms]
     best = min(tried, key=compare.criterion, default=found.first)
-    return best if compare.criterion(best) < compare.criterion(found.first) - compare.LEAST else found.first
+    gain = compare.criterion(found.first) - compare.criterion(best)
+    return best if gain > compare.needed(best) else found.first
 
 
 def _next(found: Search) -> Experiment:

@@ -160,11 +160,15 @@ class Point:
 
     @property
     def unit(self) -> float:
-        """What one unit of deviance is worth here: the more the model errs, the less a change of one means."""
+        """What one unit of deviance is worth here: the more the model errs, the less a change of one means.
+
+        Parameters that leave no trace have no say in it.
+        """
         if not self.free:
             return 1.0
         wider = np.diag(self.robust_covariance) / np.maximum(np.diag(self.covariance), 1e-300)
-        return float(np.median(wider))
+        traced = wider[np.isfinite(wider)]
+        return float(np.median(traced)) if len(traced) else math.nan
 
 
 def _start(case: Case, p: FloatArray, free: Sequence[str]) -> tuple[FloatArray, FloatArray]:

@@ -1,0 +1,45 @@
+"""What a gain in deviance is worth, and what makes innovations white."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from twin import compare
+from twin.axis import Structure
+from twin.effects.catalogue import BASE
+from twin.likelihood import Point
+
+
+def point(normal: np.ndarray, scatter: np.ndarray) -> Point:
+    free = ("input_gain", "viscous_friction", "backlash_gap")
+    return Point(Structure.of(BASE), {}, 1.0, free, 0.0, 1.0, normal, np.zeros(3), scatter)
+
+
+@pytest.mark.parametrize("repeated", [1.0, 3.0, 12.0])
+def test_readings_that_repeat_each_other_count_once(repeated):
+    """Every reading given n times over: n times the information, n squared times the scatter of the slopes."""
+    once = np.array([[4.0, 1.0, 0.0], [1.0, 2.0, 0.3], [0.0, 0.3, 5.0]])
+    found = compare.needed(point(repeated * once, repeated**2 * once))
+    assert found == pytest.approx(compare.LEAST * repeated)
+
+
+def test_what_leaves_no_trace_has_no_say():
+    seen = np.diag([4.0, 2.0, 0.0])
+    assert compare.needed(point(seen, 3.0 * seen)) == pytest.approx(3.0 * compare.LEAST)
+
+
+def test_a_model_that_says_nothing_for_certain_needs_most():
+    nothing = np.full((3, 3), math.inf)
+    with np.errstate(invalid="ignore"):
+        assert compare.needed(point(np.eye(3), nothing)) == compare.LEAST * compare.MOST_UNITS
+
+
+def test_white_noise_is_white_and_coloured_noise_is_not():
+    rng = np.random.default_rng(3)
+    said = [compare.whiteness(rng.standard_normal(2000)) for _ in range(200)]
+    assert 0.005 < np.mean(np.array(said) < 0.05) < 0.11
+    assert compare.whiteness(lfilter([1.0], [1.0, -0.3], rng.standard_normal(2000))) < 1e-3
