@@ -156,3 +156,12 @@ def test_unknown_variable_is_refused():
     case, point = fitted("nothing")
     with pytest.raises(ValueError, match="no term over"):
         unknown.fit_unknown([case], point, "moonlight")
+
+
+def test_a_first_model_that_the_command_does_not_move_still_gets_a_term():
+    """A fit without the right physics may end at a gain of zero, where a torque is no command."""
+    rng = np.random.default_rng(5)
+    means = {"input": rng.uniform(-50.0, 50.0, 400), "torque": rng.standard_normal(400)}
+    start, free = unknown._first_line(means, "input", {"input_gain": 0.0})
+    assert free
+    assert all(np.isfinite(value) for value in start.values())

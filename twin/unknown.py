@@ -292,7 +292,9 @@ def _first_line(
     low, high = (float(q) for q in np.quantile(x, (0.0, 1.0) if variable in ("time", "input") else (0.005, 0.995)))
     span = max(high - low, 1e-6)
     columns = _hats(x, low, span)
-    share = {"velocity": -1.0, "input": 1.0 / values["input_gain"]}.get(variable, 1.0)
+    # A first model without the right physics may end where the command does nothing.
+    gain = values["input_gain"]
+    share = {"velocity": -1.0, "input": 1.0 / gain if gain > 0.0 else 0.0}.get(variable, 1.0)
     heights = share * _smooth(columns, _clipped(means["torque"]))
     seen = columns.sum(axis=0) > _SEEN * len(x) / KNOTS
     start = {n: float(h) for n, h in zip(names(prefix), heights, strict=True)}
