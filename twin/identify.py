@@ -266,13 +266,6 @@ def loudness(cases: Sequence[Case], point: Point) -> tuple[float, float, list[Ca
     return share, density, told(share)
 
 
-def joint(recordings: Sequence[Recording], structure: Structure, held: Mapping[str, float] | None = None) -> Point:
-    """Maximum-likelihood estimate of a structure from recordings; `held` parameters keep their value."""
-    held = dict(held or {})
-    cases, point = start(recordings, structure, held)
-    return polish(*listen(cases, refine(cases, structure, point, held)))[1]
-
-
 def base_structure() -> Structure:
     """The base effects with teeth that give, which is what a real gap is made of."""
     return Structure.of([*BASE, "tooth_compliance"])
