@@ -19,7 +19,7 @@ PRICE = 15.0
 #: Gain in the criterion, in units of what deviance is worth, below which nothing is said to be missing.
 LEAST = 60.0
 #: Deviance of a model that errs is worth this little at the least: beyond it is not the unit that grows but the mess.
-MOST_UNITS = 20.0
+LARGEST_UNIT = 20.0
 #: Share of the deviance explained so far that a further effect must earn beside its price.
 FRACTION = 0.04
 #: Deviance that counts as one unit of log-odds times two: a model that errs a little makes likelihoods too sure.
@@ -38,7 +38,7 @@ def needed(point: Point) -> float:
     what the one before it said, and deviance counts them all (`Point.unit`).
     """
     unit = point.unit
-    return LEAST * (min(max(unit, 1.0), MOST_UNITS) if math.isfinite(unit) else MOST_UNITS)
+    return LEAST * (min(max(unit, 1.0), LARGEST_UNIT) if math.isfinite(unit) else LARGEST_UNIT)
 
 
 def weights(criteria: Sequence[float]) -> FloatArray:
