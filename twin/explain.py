@@ -28,6 +28,8 @@ FloatArray = NDArray[np.float64]
 #: Candidates per round that are fitted coarsely, and how many of them go on to a fine fit.
 SURVIVORS = 7
 FINALISTS = 3
+#: Deviance that a few steps must bring for a finalist to be worth a fine fit; in the end it needs far more.
+PROMISE = 15.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -404,7 +406,7 @@ def promising(cases: Sequence[Case], before: Point, coarse: Sequence[Hypothesis]
         return before.deviance - likelihood.climb(mine, structure, values, before.density, free, rounds=6).deviance
 
     with ThreadPoolExecutor(2) as pool:
-        return max(pool.map(gain, coarse[:FINALISTS])) > 0.25 * compare.LEAST
+        return max(pool.map(gain, coarse[:FINALISTS])) > PROMISE
 
 
 def fine_round(cases: Sequence[Case], before: Point, coarse: Sequence[Hypothesis], held: Mapping[str, float]) -> Round:
