@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from test_control import axis
 
 from twin.control import design
 from twin.controller import dumps
-from twin.cosim import make_reference, simulate, unaware
+from twin.cosim import ModelPlant, make_reference, simulate, unaware
 from twin.package import export
 from twin.pytest_plugin import Checks
 
@@ -47,6 +48,24 @@ def test_checks_hold_for_the_twin_and_fail_for_another(files: Path) -> None:
     with pytest.raises(pytest.fail.Exception, match=r"tracking error .* > 1e-06"):
         checks.assert_tracking(files / "axis.fmu", controller, 1e-6)
     assert (files / "plots" / "test_odd_name_.png").stat().st_size > 5000
+
+
+def test_a_replay_knows_the_supply_and_the_payload(tmp_path: Path) -> None:
+    """A rig whose supply falls to half while it swings a payload that its rig file knows."""
+    model = axis("payload_gravity", own_inertia=0.02)
+    time = 0.002 * np.arange(2000)
+    duty, supply = 30.0 * np.sign(np.sin(5.0 * time)), np.linspace(16.0, 8.0, 2000)
+    plant, rows = ModelPlant(replace(model, known={"payload": 0.5 * 0.2**2, "moment": 0.5 * 0.2}), 0.0), []
+    for t, u, v in zip(time.tolist(), duty.tolist(), supply.tolist(), strict=True):
+        rows.append(f"{t:.4f},{u:.10f},{v:.10f},{plant.read()[1]:.10f}\n")
+        plant.advance(t, u * v / float(np.median(supply)), 0.002)
+    (tmp_path / "log.csv").write_text("t,duty,volts,position\n" + "".join(rows))
+    (tmp_path / "rig.toml").write_text(
+        '[time]\ncolumn = "t"\n[input]\ncolumn = "duty"\nunit = "%"\n[output]\ncolumn = "position"\nunit = "rad"\n'
+        '[optional.supply]\ncolumn = "volts"\nunit = "V"\n[known]\npayload_mass = 0.5\narm_length = 0.2\n'
+    )
+    fmu = export(model, tmp_path / "axis.fmu")
+    assert Checks(tmp_path, "t").assert_nrmse(fmu, tmp_path / "log.csv", 0.5) < 0.5
 
 
 def test_hunting_fails_the_check(tmp_path: Path) -> None:

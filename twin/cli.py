@@ -295,7 +295,8 @@ def _update(args: argparse.Namespace) -> int:
 
 
 def _replays(args: argparse.Namespace) -> tuple[list[Recording], Rig, list[Any]]:
-    from twin import package, pipeline
+    from twin import package
+    from twin.recording import driven
 
     with _progress(args) as tell:
         tell("reading the recording", 0.0)
@@ -303,7 +304,7 @@ def _replays(args: argparse.Namespace) -> tuple[list[Recording], Rig, list[Any]]
         ran = []
         for i, r in enumerate(recordings):
             tell(f"simulating {r.name}", i / len(recordings))
-            ran.append(package.replay(args.fmu, pipeline.driven(r), closed=args.closed))
+            ran.append(package.replay(args.fmu, driven(r), closed=args.closed))
     return recordings, rig, ran
 
 

@@ -19,7 +19,7 @@ from twin.explain import Hypothesis, Round
 from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace
 from twin.likelihood import Case, Point
 from twin.model import Model
-from twin.recording import Recording
+from twin.recording import Recording, driven
 from twin.writers import latex
 
 Progress = Callable[[str, float], None]
@@ -206,13 +206,9 @@ def traces(
     timed = any(e in m.structure for m in (before, after) for e in _TIMED)
     out = []
     with tempfile.TemporaryDirectory() as folder:
+        fmus = [package.export(m, Path(folder) / f"{i}.fmu") for i, m in enumerate((before, after))]
         for recording, since in recordings:
-            runs = []
-            for name, model in (("before", before), ("after", after)):
-                known = {**model.known, **likelihood.known_quantities(recording)}
-                fmu = package.export(replace(model, known=known), Path(folder) / f"{name}.fmu", force=True)
-                driven = replace(recording, input=likelihood.command_of(recording))
-                runs.append(_free_run(fmu, driven, since, timed, closed))
+            runs = [_free_run(fmu, driven(recording), since, timed, closed) for fmu in fmus]
             keep = recording.time >= since
             out.append(Trace(recording.name, role, recording.time[keep], recording.output[keep], runs[0], runs[1]))
     return out

@@ -25,7 +25,7 @@ from twin.effects.catalogue import BASE
 from twin.errors import BadInput
 from twin.likelihood import Case, Point
 from twin.model import Model
-from twin.recording import Recording
+from twin.recording import Recording, known_quantities
 from twin.startup import start_values
 
 #: Memory of the filter while the coarse values are looked for, s.
@@ -303,7 +303,7 @@ def to_model(cases: Sequence[Case], point: Point, recordings: Sequence[Recording
     covariance = likelihood.robust_covariance(with_steps(cases, point.structure), point)
     first = recordings[0]
     variance = cases[0].reading_variance * point.scale
-    known = {k: v for k, v in likelihood.known_quantities(first).items() if v}
+    known = {k: v for k, v in known_quantities(first).items() if v}
     return Model(
         structure=point.structure,
         values={p.name: float(point.values[p.name]) for p in point.structure.parameters},

@@ -25,7 +25,7 @@ from twin import kernel
 from twin.axis import EVERYTHING, STATES, Structure
 from twin.kernel import INDEX, Drive
 from twin.loop import own_loop
-from twin.recording import Recording
+from twin.recording import Recording, command_of, known_quantities
 
 FloatArray = NDArray[np.float64]
 
@@ -76,26 +76,6 @@ def _reading_variance(recording: Recording) -> float:
     if counted > 0.0:
         return max(counted, scatter)
     return max(scatter, (1e-9 * float(np.ptp(y))) ** 2, 1e-30)
-
-
-def known_quantities(recording: Recording) -> dict[str, float]:
-    """Inertia and first moment of the payload about the axis, from what the user knows of it."""
-    known = recording.known
-    mass, arm = known.get("payload_mass", 0.0), known.get("arm_length", 0.0)
-    rod = known.get("arm_mass", 0.0)
-    return {
-        "payload": known.get("payload_inertia", mass * arm**2 + rod * arm**2 / 3.0),
-        "moment": known.get("payload_moment", mass * arm + rod * arm / 2.0),
-    }
-
-
-def command_of(recording: Recording) -> FloatArray:
-    """The input as it acts: a duty drives in proportion to the supply where that is logged."""
-    supply = recording.optional.get("supply")
-    if supply is None or recording.input_unit != "%":
-        return recording.input
-    nominal = float(np.nanmedian(supply))
-    return recording.input * np.where(np.isfinite(supply), supply, nominal) / nominal
 
 
 def prepare(recording: Recording, structure: Structure, closed: bool = False, contact: float = 0.0) -> Case:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from fmpy.validation import validate_fmu
 
-from twin import control, controller, cosim, extend, finding, identify, kernel, likelihood, model, package
+from twin import control, controller, cosim, extend, finding, identify, kernel, model, package
 from twin import two_stage as stages
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
@@ -23,7 +23,7 @@ from twin.errors import BadInput
 from twin.files import check_place, json_text, plain, put
 from twin.finding import Diagnosis, Experiment
 from twin.model import Model
-from twin.recording import Recording, Rig, load
+from twin.recording import Recording, Rig, driven, load
 from twin.report import Check, Story, html
 
 Progress = Callable[[str, float], None]
@@ -65,13 +65,6 @@ def first_structure(
         leaning = [e.id for e in structure.effects if effect in e.includes]
         structure = structure.without(effect, *leaning)
     return structure
-
-
-def driven(log: Recording) -> Recording:
-    """The recording as its FMU is driven: the command as it acts, and what the laws know of the payload."""
-    return replace(
-        log, input=likelihood.command_of(log), known={**log.known, **likelihood.known_quantities(log)}
-    )
 
 
 def compile_kernel(tell: Progress) -> None:

@@ -24,7 +24,9 @@ from twin.formats import Table, open_table
 from twin.manifest import Entry, entries_of
 from twin.rig import Clock, Column, LoopRig, Rig, guess_rig, guess_time, read_rig
 
-__all__ = ["Fault", "FloatArray", "Loop", "Recording", "Rig", "load", "read_rig"]
+__all__ = [
+    "Fault", "FloatArray", "Loop", "Recording", "Rig", "command_of", "driven", "known_quantities", "load", "read_rig",
+]  # fmt: skip
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -114,6 +116,33 @@ class Recording:
                 if f.end >= origin and f.start <= last
             ),
         )
+
+
+def known_quantities(recording: Recording) -> dict[str, float]:
+    """Inertia and first moment of the payload about the axis, from what the user knows of it."""
+    known = recording.known
+    mass, arm = known.get("payload_mass", 0.0), known.get("arm_length", 0.0)
+    rod = known.get("arm_mass", 0.0)
+    return {
+        "payload": known.get("payload_inertia", mass * arm**2 + rod * arm**2 / 3.0),
+        "moment": known.get("payload_moment", mass * arm + rod * arm / 2.0),
+    }
+
+
+def command_of(recording: Recording) -> FloatArray:
+    """The input as it acts: a duty drives in proportion to the supply where that is logged."""
+    supply = recording.optional.get("supply")
+    if supply is None or recording.input_unit != "%":
+        return recording.input
+    nominal = float(np.nanmedian(supply))
+    return recording.input * np.where(np.isfinite(supply), supply, nominal) / nominal
+
+
+def driven(recording: Recording) -> Recording:
+    """The recording as an FMU of its axis is driven: the command as it acts, and what the laws know of the payload."""
+    return replace(
+        recording, input=command_of(recording), known={**recording.known, **known_quantities(recording)}
+    )
 
 
 def load(paths: Sequence[Path], rig: Path | None = None) -> tuple[list[Recording], Rig]:

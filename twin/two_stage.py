@@ -23,9 +23,8 @@ from scipy.optimize import minimize_scalar
 
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
-from twin.likelihood import command_of, known_quantities
 from twin.model import Model
-from twin.recording import Recording
+from twin.recording import Recording, command_of, known_quantities
 
 FloatArray = NDArray[np.float64]
 
