@@ -93,13 +93,13 @@ def bench_kernel() -> None:
 
 def bench_identify() -> None:
     """Print where the time of an identification goes: without what the shipped recording hides, and with it."""
-    from twin import identify, pipeline
+    from twin import fitting, identify
     from twin.recording import load
 
     recordings, rig = load([SHIPPED], SHIPPED.with_name("rig.toml"))
-    pipeline.compile_kernel(lambda sentence, share: None)
+    fitting.compile_kernel(lambda sentence, share: None)
     bare = bare_loop(recordings[0].input)
-    first = pipeline.first_structure(rig, (), ())
+    first = fitting.first_structure(rig, (), ())
     for structure in (first, first.with_("motor_lag")):
         laps: list[tuple[str, float, float]] = []
 

@@ -37,7 +37,7 @@ from mujoco_rig import OUTSIDE, TURN, VOCABULARY, Concealed, Rig, draw_effect, d
 from twin import extend
 from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES
-from twin.pipeline import compile_kernel
+from twin.fitting import compile_kernel
 from twin.recording import Recording
 
 Array = NDArray[np.float64]

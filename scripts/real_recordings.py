@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from twin import extend, identify, likelihood, package, pipeline, recording
+from twin import extend, fitting, identify, likelihood, package, recording
 from twin.axis import Structure
 from twin.finding import Diagnosis
 from twin.likelihood import Point
@@ -243,7 +243,7 @@ def outcome(name: str, data: Path, quick: bool) -> Outcome:
     chosen = SETS[name]
     began = time.perf_counter()
     recordings, rig = recordings_of(name, data, quick)
-    first = pipeline.first_structure(rig, chosen.more, chosen.fewer)
+    first = fitting.first_structure(rig, chosen.more, chosen.fewer)
     found = extend.diagnose(recordings, first)
     held_out = [r for r in recordings if r.role == "holdout"]
     whole = max(float(r.time[-1]) for r in recordings)

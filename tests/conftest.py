@@ -8,6 +8,6 @@ import pytest
 def pytest_configure(config: pytest.Config) -> None:
     if hasattr(config, "workerinput") or config.option.collectonly:
         return
-    from twin.pipeline import compile_kernel
+    from twin.fitting import compile_kernel
 
     compile_kernel(lambda sentence, share: None)

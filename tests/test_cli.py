@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from example_diagnosis import example, model_of, recording_of
 
-from twin import cli, controller, extend, finding, model, package, pipeline
+from twin import cli, controller, extend, files, finding, fitting, model, package, pipeline
 from twin.identify import base_structure
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
@@ -378,7 +378,7 @@ def known_answer(monkeypatch):
         return example()
 
     monkeypatch.setattr(extend, "diagnose", diagnose)
-    monkeypatch.setattr(pipeline, "compile_kernel", lambda tell: None)
+    monkeypatch.setattr(fitting, "compile_kernel", lambda tell: None)
     return diagnose
 
 
@@ -455,7 +455,7 @@ def test_a_failing_search_leaves_nothing_behind(capsys, bench, monkeypatch):
     def fail(*_, **__):
         raise ZeroDivisionError("in the middle")
 
-    monkeypatch.setattr(pipeline, "compile_kernel", lambda tell: None)
+    monkeypatch.setattr(fitting, "compile_kernel", lambda tell: None)
     monkeypatch.setattr(extend, "diagnose", fail)
     before = state(bench)
     code, _, err = call(capsys, "run", "good.csv", "--out", "out")
@@ -464,7 +464,7 @@ def test_a_failing_search_leaves_nothing_behind(capsys, bench, monkeypatch):
 
 
 def test_json_of_nothing_found_has_no_numbers_that_json_lacks():
-    found = json.loads(json.dumps(pipeline.diagnosis_json(example("unexplained"))), parse_constant=pytest.fail)
+    found = json.loads(files.json_text(finding.to_json(example("unexplained"))), parse_constant=pytest.fail)
     assert found["effects"] == [] and set(found) == set(finding.to_json(example()))
 
 

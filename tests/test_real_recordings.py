@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import manifests
 import real_recordings
 
-from twin import explain, extend, identify, kernel, likelihood, pipeline, recording
+from twin import explain, extend, fitting, identify, kernel, likelihood, recording
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES
 from twin.extend import Search
@@ -128,7 +128,7 @@ def quick(name: str, candidates: Sequence[str] = CANDIDATES) -> Search:
     chosen = real_recordings.SETS[name]
     recordings, rig = real_recordings.recordings_of(name, DATA, quick=True)
     train = [r for r in recordings if r.role == "train"]
-    return extend.search(train, pipeline.first_structure(rig, chosen.more, chosen.fewer), {}, candidates)
+    return extend.search(train, fitting.first_structure(rig, chosen.more, chosen.fewer), {}, candidates)
 
 
 @real

@@ -1,7 +1,8 @@
 """The command line: what other people's scripts call.
 
 Exit codes: 0 done, 1 a check that was asked for did not hold, 2 bad input with one line on stderr, 3 a fault of ours.
-Heavy modules are imported by the command that needs them, so that `twin --help` is there at once.
+A command imports what it needs once it has read what it was given: help is there at once, and so is the word on a
+file that cannot be used.
 """
 
 from __future__ import annotations
@@ -114,9 +115,10 @@ def _assumptions(rig: Rig) -> list[str]:
     return [f"Assumed, for want of a rig file: {a}" for a in rig.assumed]
 
 
-def _load(args: argparse.Namespace) -> tuple[list[Recording], Rig]:
+def _load(args: argparse.Namespace, tell: Progress) -> tuple[list[Recording], Rig]:
     from twin.recording import load
 
+    tell("reading the recording", 0.0)
     return load(args.log, args.rig)
 
 
@@ -150,14 +152,12 @@ def _parameter_lines(model: Model) -> list[str]:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from twin import finding, phrases, pipeline
-
-    pipeline.check_folder(args.out, args.force)
     _check_outputs(args)
     with _progress(args) as tell:
-        story = pipeline.run(
-            args.log, args.rig, args.out, args.more, args.fewer, args.bandwidth, args.force, tell
-        )
+        recordings, rig = _load(args, tell)
+        from twin import finding, phrases, pipeline
+
+        story = pipeline.run(recordings, rig, args.out, args.more, args.fewer, args.bandwidth, args.force, tell)
     d = story.diagnosis
     files = {name: str(args.out / name) for name in pipeline.FILES if (args.out / name).exists()}
     says = phrases.sentences(d, story.tracking)
@@ -186,13 +186,12 @@ def _tracking(tracking: Any) -> dict[str, Any]:
 
 def _identify(args: argparse.Namespace) -> int:
     _check_outputs(args, args.out)
-    from twin import files, model, phrases, pipeline
-
     with _progress(args) as tell:
-        tell("reading the recording", 0.0)
-        recordings, rig = _load(args)
-        structure = pipeline.first_structure(rig, args.more, args.fewer)
-        found = pipeline.estimate(recordings, structure, args.method, tell, args.horizon, args.closed)
+        recordings, rig = _load(args, tell)
+        from twin import files, fitting, model, phrases
+
+        structure = fitting.first_structure(rig, args.more, args.fewer)
+        found = fitting.estimate(recordings, structure, args.method, tell, args.horizon, args.closed)
     files.put(args.out, model.dumps(found))
     said = [
         *_assumptions(rig),
@@ -295,12 +294,11 @@ def _update(args: argparse.Namespace) -> int:
 
 
 def _replays(args: argparse.Namespace) -> tuple[list[Recording], Rig, list[Any]]:
-    from twin import package
-    from twin.recording import driven
-
     with _progress(args) as tell:
-        tell("reading the recording", 0.0)
-        recordings, rig = _load(args)
+        recordings, rig = _load(args, tell)
+        from twin import package
+        from twin.recording import driven
+
         ran = []
         for i, r in enumerate(recordings):
             tell(f"simulating {r.name}", i / len(recordings))
@@ -379,16 +377,15 @@ def _check(args: argparse.Namespace) -> int:
 def _diagnose(args: argparse.Namespace) -> int:
     experiment_file = args.out.with_name(f"{args.out.stem}_next_experiment.csv")
     _check_outputs(args, args.out, args.report, experiment_file)
-    from twin import extend, files, finding, model, phrases, pipeline
-
     with _progress(args) as tell:
-        tell("reading the recording", 0.0)
+        recordings, rig = _load(args, tell)
+        from twin import extend, files, finding, fitting, model, phrases
+
         given = None if args.model is None else model.read(args.model)
-        recordings, rig = _load(args)
-        structure = pipeline.first_structure(rig, args.more, args.fewer, None if given is None else given.structure)
-        pipeline.compile_kernel(tell)
+        structure = fitting.first_structure(rig, args.more, args.fewer, None if given is None else given.structure)
+        fitting.compile_kernel(tell)
         d = extend.diagnose(
-            recordings, structure, {} if given is None else pipeline.held_of(given),
+            recordings, structure, {} if given is None else fitting.held_of(given),
             progress=lambda s, x: tell(s, 0.05 + 0.9 * x), closed=args.closed,
         )  # fmt: skip
         page = ""
@@ -397,8 +394,8 @@ def _diagnose(args: argparse.Namespace) -> int:
 
             tell("writing the report", 0.97)
             page = report.html(report.Story(d, rig))
-    experiment = pipeline.experiment_csv(d.experiment, d.after.input_name)
-    files.put(args.out, model.dumps(pipeline.with_largest_command(d.after, recordings)))
+    experiment = finding.experiment_csv(d.experiment, d.after.input_name)
+    files.put(args.out, model.dumps(fitting.with_largest_command(d.after, recordings)))
     if experiment:
         files.put(experiment_file, experiment)
     if args.report is not None:

@@ -141,3 +141,11 @@ def to_json(diagnosis: Diagnosis, experiment_file: str = "") -> dict[str, Any]:
         "remarks": list(d.remarks),
         "seconds": dict(d.seconds),
     }
+
+
+def experiment_csv(experiment: Experiment, input_name: str) -> str:
+    """What to feed the rig next, as CSV; empty where there is nothing to try."""
+    if experiment.time.size == 0:
+        return ""
+    rows = zip(experiment.time, experiment.input, strict=True)
+    return f"time,{input_name}\n" + "".join(f"{t:.6g},{u:.6g}\n" for t, u in rows)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from twin.cosim import Tracking
 from twin.effects.catalogue import EFFECTS
-from twin.finding import Diagnosis, Fitness
-from twin.recording import Recording
+
+if TYPE_CHECKING:
+    from twin.cosim import Tracking
+    from twin.finding import Diagnosis, Fitness
+    from twin.recording import Recording
 
 #: The variables that a misfit may go with, in plain words.
 VARIABLES = {
