@@ -488,13 +488,35 @@ def test_help_is_there_for_every_command():
         assert said.returncode == 0 and "--json" in said.stdout and "--quiet" in said.stdout
 
 
-def test_help_imports_nothing_heavy():
-    code = (
-        "import sys; from twin import cli; cli._parser();"
-        "print([m for m in ('numpy', 'scipy', 'matplotlib') if m in sys.modules])"
+@pytest.mark.parametrize(
+    "command, code, heavy",
+    [
+        ("--help", 0, "numpy scipy sympy numba matplotlib fmpy control"),
+        ("identify good.csv --out", 2, "numpy scipy sympy numba matplotlib fmpy control"),
+        ("export model.toml --out arm.fmu", 2, "numpy scipy sympy numba matplotlib fmpy control"),
+        *((f"{name} nowhere.csv --out out", 2, "scipy sympy numba matplotlib fmpy control") for name in COMMANDS[:2]),
+        ("diagnose nowhere.csv --out out", 2, "scipy sympy numba matplotlib fmpy control"),
+        ("check nowhere.fmu --log nowhere.csv --max-nrmse 5", 2, "scipy sympy numba matplotlib fmpy control"),
+        ("control nowhere.toml --out c2.toml", 2, "scipy numba matplotlib fmpy control"),
+        ("identify good.csv --method two-stage --out new.toml", 2, "matplotlib fmpy control"),
+        ("identify good.csv --horizon -1 --out new.toml", 2, "matplotlib fmpy control"),
+        ("check arm.fmu --log good.csv --max-nrmse 5", 0, "numba matplotlib control"),
+        ("export model.toml --out new.fmu", 0, "scipy numba matplotlib control"),
+        ("cosim nowhere.fmu c.toml", 2, "scipy numba matplotlib control"),
+    ],
+)
+def test_a_command_imports_only_what_it_needs(bench, command, code, heavy):
+    asked = (
+        "import sys; from twin import cli\n"
+        "try: code = cli.main(sys.argv[2:])\n"
+        "except SystemExit as ended: code = ended.code\n"
+        "print(code, *(m for m in sys.argv[1].split() if m in sys.modules))"
     )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert said.stdout.strip() == "[]"
+    said = subprocess.run(
+        [sys.executable, "-c", asked, heavy, *command.split()], capture_output=True, text=True, check=False, cwd=bench,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1])},
+    )  # fmt: skip
+    assert said.stdout.splitlines()[-1:] == [str(code)], said
 
 
 def test_a_poor_console_gets_plain_text(shelf, tmp_path):

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin import controller as files
-from twin import linear
+from twin import linear, sampled
 from twin.axis import Structure
 from twin.control import design
 from twin.controller import LimitCycle
@@ -43,7 +43,7 @@ def test_every_effect_gets_a_controller_with_margins_and_a_file(effect: str) -> 
 
 def test_drive_is_inverted_whatever_it_holds() -> None:
     made = design(axis("supply_sag", "drive_saturation", "thermal_fade", supply_sag=0.002, fade=0.2))
-    law, p = linear.laws(made), made.parameter_list
+    law, p = made.laws, made.parameter_list
     for target in np.linspace(-40, 40, 23):
         command = law.answer(target, 3.0, 0.5, 100.0, p)
         assert law.drive(command, 3.0, 0.5, p) == pytest.approx(target, abs=1e-6)
@@ -53,7 +53,7 @@ def test_drive_is_inverted_whatever_it_holds() -> None:
 @settings(deadline=None)
 def test_no_command_comes_closer_than_the_answer(target: float, emf: float, sag: float, band: float) -> None:
     structure = Structure.of([*BASE, "supply_sag", "constant_offset"])
-    law = linear.functions(structure)
+    law = sampled.functions(structure)
     given = {"input_gain": 1.0, "supply_sag": sag, "dead_band_forward": band, "dead_band_reverse": 0.5 * band}
     p = [given.get(q.name, q.start) for q in structure.parameters]
     command = law.answer(target, emf, 0.0, 100.0, p)
@@ -65,7 +65,7 @@ def test_no_command_comes_closer_than_the_answer(target: float, emf: float, sag:
 
 def test_blur_is_continuous_over_the_dead_band() -> None:
     made = design(axis())
-    law, p, g = linear.laws(made), made.parameter_list, made.settings_list
+    law, p, g = made.laws, made.parameter_list, made.settings_list
     blur = made.settings["blur"]
     targets = np.linspace(-2 * blur, 2 * blur, 401)
     commands = np.array([law.invert(t, 0.0, 0.0, p, g) for t in targets])

@@ -216,15 +216,17 @@ def _identify(args: argparse.Namespace) -> int:
 
 def _export(args: argparse.Namespace) -> int:
     _check_outputs(args, args.out, args.ssv, args.ssp, args.modelica)
-    from twin import controller, model, ssp, tomlfile
-    from twin.files import put
-    from twin.writers import modelica
-
     if args.controller is not None and args.ssp is None:
         raise BadInput("--controller goes into a system: add --ssp FILE, or export the CONTROLLER.toml by itself")
     if args.target == "python" and args.fmi == 3:
         raise BadInput("--target python writes FMI 2 only, through pythonfmu: add --target native for FMI 3")
+    from twin import tomlfile
+
     text = tomlfile.load(args.model, "model", "MODEL.toml", "twin identify")
+    from twin import controller, model, ssp
+    from twin.files import put
+    from twin.writers import modelica
+
     answer = {"format": "twin-export/1", "fmu": str(args.out), "target": args.target, "fmi": args.fmi}
     if tomlfile.format_of(text) == controller.FORMAT:
         for option in ("ssv", "ssp", "modelica"):
@@ -410,9 +412,11 @@ def _diagnose(args: argparse.Namespace) -> int:
 
 def _control(args: argparse.Namespace) -> int:
     _check_outputs(args, args.out)
-    from twin import control, controller, files, model, robust
+    from twin import model
 
     known = model.read(args.model)
+    from twin import control, controller, files, robust
+
     made = control.design(known, args.bandwidth, args.limit)
     if args.max_peak is not None and not args.max_peak > 0.0:
         raise BadInput(f"--max-peak is {args.max_peak:g}: give an error above 0, in {made.axis_unit}")
@@ -454,7 +458,7 @@ def _mapping(pairs: Sequence[str]) -> dict[str, str]:
 
 def _cosim(args: argparse.Namespace) -> int:
     _check_outputs(args, args.out, args.plot)
-    from twin import controller, cosim, files, reference
+    from twin import controller, files, reference
 
     names = _mapping(args.map)
     made = controller.read(args.controller)
@@ -465,6 +469,8 @@ def _cosim(args: argparse.Namespace) -> int:
         raise BadInput(f"--amplitude and --duration shape {', '.join(reference.KINDS)}, not a file like {kind}")
     else:
         wanted = reference.read_reference(Path(kind), made.sample_time)
+    from twin import cosim
+
     with _progress(args) as tell:
         tell("closing the loop around the FMU", 0.0)
         ran = cosim.run(args.fmu, made, wanted, names, not args.other_structure)

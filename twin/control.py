@@ -14,7 +14,7 @@ from dataclasses import replace
 import control
 import numpy as np
 
-from twin import linear
+from twin import linear, sampled
 from twin.axis import Structure
 from twin.controller import Controller, LimitCycle
 from twin.errors import BadInput
@@ -78,7 +78,7 @@ def _limit(model: Model, asked: float | None) -> tuple[float, str]:
 def _holding(model: Model) -> float:
     """The command that moves the axis at one unit of speed against all that resists."""
     structure = _cancelled(model)
-    law = linear.functions(structure)
+    law = sampled.functions(structure)
     p = [model.values.get(q.name, 0.0) for q in structure.parameters]
     moment = float(model.known.get("moment", 0.0))
     worst = 0.0
@@ -139,7 +139,7 @@ def _gains(controller: Controller, rate: float) -> dict[str, float]:
 
 def _reach(controller: Controller) -> tuple[float, float]:
     """Speed and acceleration that full command holds against drag and dry friction, the weaker way."""
-    law, p, k = linear.laws(controller), controller.parameter_list, controller.known_list
+    law, p, k = controller.laws, controller.parameter_list, controller.known_list
     limit, gain = controller.settings["limit"], controller.values["input_gain"]
     damping = controller.values.get("viscous_friction", 0.0)
     total = 1.0 + law.mass(0.0, k[0], p)
@@ -350,7 +350,7 @@ def design(model: Model, bandwidth: float | None = None, limit: float | None = N
 
 def _hunting(controller: Controller) -> LimitCycle | None:
     """The limit cycle that the gap would cause in the linear loop."""
-    values, law = controller.values, linear.laws(controller)
+    values, law = controller.values, controller.laws
     held = min(law.grip(0.0, 0.0, side, 0.0, controller.parameter_list) for side in (1.0, -1.0))
     share = 1.0 - values.get("friction_share", 0.0)
     gap = values.get("backlash_gap", 0.0)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from twin import sampled
@@ -76,6 +77,11 @@ class Controller:
     def settings_list(self) -> list[float]:
         """The design in the order of the text's `g`."""
         return [float(self.settings[name]) for name in sampled.SETTINGS]
+
+    @property
+    def laws(self) -> SimpleNamespace:
+        """The text that runs, as Python functions: `sample`, `step`, `drive`, `load`, `drag`, `grip`, ..."""
+        return sampled.functions(self.structure)
 
     @property
     def known_list(self) -> list[float]:

@@ -18,12 +18,10 @@ from numpy.typing import NDArray
 
 from twin import sampled
 from twin.archive import Fmu, open_fmu
-from twin.axis import STATES
+from twin.axis import KNOWN, STATES
 from twin.controller import Controller, LimitCycle
 from twin.effects.catalogue import EFFECTS
 from twin.errors import BadInput
-from twin.kernel import known_vector, start_state
-from twin.linear import laws
 from twin.model import Model
 from twin.reference import Reference, check, make_reference
 from twin.running import Running, running
@@ -98,9 +96,9 @@ class ModelPlant:
         names: dict[str, Any] = {}
         exec(compile(python.write(model.structure), "<plant>", "exec"), names)
         self._step, self._sensor = names["step"], names["sensor"]
-        self._x = start_state(position, 0.0, 0.0).tolist()
+        self._x = [float(position), *[0.0] * (len(STATES) - 1)]
         self._p = [float(model.values[p.name]) for p in model.structure.parameters]
-        self._k, self._longest = known_vector(model.known).tolist(), model.longest_step
+        self._k, self._longest = [float(model.known.get(n, 0.0)) for n in KNOWN], model.longest_step
         self._delay = float(model.values.get("delay", 0.0))
         self._sent: list[tuple[float, float]] = [(-1e9, 0.0)]
 
@@ -194,7 +192,7 @@ class Runner:
     """The controller's text with its memory."""
 
     def __init__(self, controller: Controller) -> None:
-        self._sample = laws(controller).sample
+        self._sample = controller.laws.sample
         self._x = [0.0] * len(STATES)
         self._y = [0.0] * len(STATES)
         self._m = [0.0] * len(sampled.MEMORY)

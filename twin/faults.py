@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import maximum_filter1d, median_filter
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -129,6 +128,8 @@ def unwrap(
 
 def _largest_around(size: FloatArray, reach: int) -> FloatArray:
     """Largest of the values within `reach` samples, for each sample."""
+    from scipy.ndimage import maximum_filter1d  # slow to import: a file that cannot be read need not wait for it
+
     return np.asarray(maximum_filter1d(size, 2 * reach + 1, mode="nearest"), dtype=np.float64)
 
 
@@ -142,6 +143,8 @@ def find_outliers(values: FloatArray, resolution: float) -> BoolArray:
     good = np.flatnonzero(np.isfinite(values))
     if good.size < 11:
         return found
+    from scipy.ndimage import median_filter  # slow to import, as above
+
     y = values[good]
     smooth = median_filter(y, size=5, mode="nearest")
     off = np.abs(y - smooth)

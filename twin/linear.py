@@ -9,8 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from types import SimpleNamespace
 from typing import Any
 
 import control
@@ -19,24 +17,10 @@ import scipy.linalg
 import scipy.optimize
 from numpy.typing import NDArray
 
-from twin import sampled
-from twin.axis import KNOWN, Structure
+from twin.axis import KNOWN
 from twin.controller import Controller, LimitCycle, Margins
 
 FloatArray = NDArray[np.float64]
-
-
-@cache
-def functions(structure: Structure) -> SimpleNamespace:
-    """The text of a structure that has constant_offset, as Python functions."""
-    names: dict[str, Any] = {}
-    exec(compile(sampled.write(structure), "<controller>", "exec"), names)
-    return SimpleNamespace(**{name: f for name, f in names.items() if callable(f)})
-
-
-def laws(controller: Controller) -> SimpleNamespace:
-    """The controller's text as Python functions: `sample`, `step`, `drive`, `load`, `drag`, `grip`, ..."""
-    return functions(controller.structure)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +66,7 @@ def _over(a: FloatArray, b: FloatArray, span: float) -> tuple[FloatArray, FloatA
 
 def linearise(controller: Controller, position: float = 0.0) -> Linear:
     """The axis about rest at a position."""
-    law, p = laws(controller), controller.parameter_list
+    law, p = controller.laws, controller.parameter_list
     moment, payload = controller.known_list[list(KNOWN).index("moment")], controller.known_list[0]
     h = 1e-6
     total = 1.0 + law.mass(0.0, payload, p)

@@ -10,11 +10,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from twin.controller import Controller
 from twin.errors import BadInput
-from twin.linear import laws
 
 FloatArray = NDArray[np.floating[Any]]
 KINDS = ("minimum-jerk", "sine", "step")
@@ -166,6 +164,8 @@ def read_reference(path: Path, sample_time: float) -> Reference:
     if held:
         before = np.searchsorted(time, t + time[0] + 1e-9, side="right") - 1
         return Reference(path.name, t, table["position"][before], np.zeros_like(t), np.zeros_like(t))
+    from scipy.interpolate import CubicSpline, PchipInterpolator  # slow to import, and only a file has need of it
+
     curve = CubicSpline(time, table["position"])
     made = [curve(t + time[0])]
     for order, name in ((1, "velocity"), (2, "acceleration")):
@@ -176,7 +176,7 @@ def read_reference(path: Path, sample_time: float) -> Reference:
 
 def check(reference: Reference, controller: Controller) -> None:
     """Raises BadInput where the reference asks for more than full command can give, by the model's laws."""
-    law, p, k = laws(controller), controller.parameter_list, controller.known_list
+    law, p, k = controller.laws, controller.parameter_list, controller.known_list
     g, v = controller.settings, controller.values
     period = np.diff(reference.time)
     if len(period) and not np.allclose(period, controller.sample_time, rtol=1e-6, atol=1e-12):

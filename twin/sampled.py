@@ -18,7 +18,9 @@ import ast
 import inspect
 import textwrap
 from collections.abc import Mapping
+from functools import cache
 from math import floor, sqrt
+from types import SimpleNamespace
 from typing import ClassVar
 
 from twin.axis import EVERYTHING, STATES, Structure
@@ -335,6 +337,14 @@ def module(structure: Structure, switched: bool = False) -> ast.Module:
 def write(structure: Structure) -> str:
     """Plain Python text, standard library only: `sample(...)`, `step(...)` and the laws."""
     return "from math import cos, exp, floor, sin, sqrt, tanh\n\n\n" + ast.unparse(module(structure)) + "\n"
+
+
+@cache
+def functions(structure: Structure) -> SimpleNamespace:
+    """The text of a structure that has constant_offset, as Python functions: `sample`, `step`, `drive`, `load`, ..."""
+    names = {}
+    exec(compile(write(structure), "<controller>", "exec"), names)
+    return SimpleNamespace(**{name: f for name, f in names.items() if callable(f)})
 
 
 class _Length(ast.NodeTransformer):
