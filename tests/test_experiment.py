@@ -259,3 +259,16 @@ def test_a_cut_signal_is_the_beginning_of_the_whole(end):
     _, part = experiment._sampled(cut, 0.004, -100.0, 100.0)
     assert experiment._length(cut) == pytest.approx(min(end, experiment._length(signal)))
     assert np.allclose(part[:-1], whole[: len(part) - 1], atol=0.011)
+
+
+def test_errors_are_the_inverse_and_stay_numbers_where_nothing_tells_two_parameters_apart():
+    rng = np.random.default_rng(2)
+    seen = rng.standard_normal((40, 4))
+    known = np.sqrt(np.diag(np.linalg.inv(seen.T @ seen + np.eye(4) / experiment._UNKNOWN**2)))
+    assert experiment._relative_errors(seen.T @ seen) == pytest.approx(known)
+    for _ in range(50):
+        seen = 1e8 * rng.standard_normal((40, 4))
+        seen[:, 3] = seen[:, 2]
+        found = experiment._relative_errors(seen.T @ seen)
+        assert found[2:] == pytest.approx(experiment._UNKNOWN / np.sqrt(2.0), rel=1e-6)
+        assert np.all(found[:2] < 1e-6)

@@ -646,6 +646,16 @@ def _sizes(point: Point, bench: _Bench) -> FloatArray:
     return np.array(sizes)
 
 
+def _relative_errors(information: FloatArray) -> FloatArray:
+    """What information (n, n) leaves open of parameters that were known to within `_UNKNOWN` before, (n,).
+
+    What readings cannot tell apart leaves an eigenvalue that is only rounding, of either sign: it says nothing.
+    """
+    known, ways = np.linalg.eigh(information)
+    told = np.where(known > len(known) * np.finfo(float).eps * known[-1], known, 0.0)
+    return np.asarray(np.sqrt(np.sum(ways**2 / (told + 1.0 / _UNKNOWN**2), axis=1)))
+
+
 def sharpen(point: Point, cases: Sequence[Case], limits: Limits | None = None) -> Experiment:
     """The input that fixes the worst-known parameter of a fitted model, and the others as far as it can.
 
@@ -659,8 +669,7 @@ def sharpen(point: Point, cases: Sequence[Case], limits: Limits | None = None) -
         return Experiment("No parameter is left that an experiment could fix.")
 
     def errors(ledger: Ledger) -> FloatArray:
-        scaled = ledger[0].information * np.outer(sizes, sizes) + np.eye(len(sizes)) / _UNKNOWN**2
-        return np.asarray(np.sqrt(np.diag(np.linalg.inv(scaled)))[sought])
+        return np.asarray(_relative_errors(ledger[0].information * np.outer(sizes, sizes))[sought])
 
     pair = _Pair(point, point, point.values)
     before = errors([pair.before])
