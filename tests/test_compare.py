@@ -34,8 +34,7 @@ def test_what_leaves_no_trace_has_no_say():
 
 def test_a_model_that_says_nothing_for_certain_needs_most():
     nothing = np.full((3, 3), math.inf)
-    with np.errstate(invalid="ignore"):
-        assert compare.needed(point(np.eye(3), nothing)) == compare.LEAST * compare.LARGEST_UNIT
+    assert compare.needed(point(np.eye(3), nothing)) == compare.LEAST * compare.LARGEST_UNIT
 
 
 def test_white_noise_is_white_and_coloured_noise_is_not():

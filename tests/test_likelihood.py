@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -94,3 +96,15 @@ def test_landings_are_as_uncertain_as_the_recording_says(shaken: float, loud: bo
     share, _, told = identify.loudness([case], point)
     assert (share > 0.0) == loud
     assert (told[0].knocks is not None) == loud
+
+
+def test_values_so_wild_that_the_model_overflows_are_refused_without_a_word() -> None:
+    case = made(duration=5.0)
+    wild = [VALUES | {"input_gain": gain} for gain in (1e160, 1e300)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # in every thread: an array's overflow would be raised
+        assert likelihood.deviances([case], STRUCTURE, wild, 1.0) == [math.inf, math.inf]
+        assert likelihood.evaluate([case], STRUCTURE, wild[0], 1.0, FREE).deviance == math.inf
+        assert "cannot run" in likelihood.climb([case], STRUCTURE, wild[0], 1.0, FREE).says
+        untraced = Point(STRUCTURE, VALUES, 1.0, FREE[:2], 0.0, 1.0, np.diag([4.0, 0.0]), np.zeros(2), np.eye(2))
+        assert math.isinf(untraced.covariance[1, 1]) and untraced.unit == 1.0

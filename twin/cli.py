@@ -644,7 +644,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Where matrices are small, the threads of the linear algebra only wait for one another.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     if not debug:
-        warnings.simplefilter("ignore")  # a search may try values at which the model overflows
+        warnings.simplefilter("ignore")  # what a library warns of is for those who develop with it
     try:
         parser, names = _parser()
         given = list(sys.argv[1:] if argv is None else argv)

@@ -16,6 +16,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -100,6 +101,16 @@ def prepare(recording: Recording, structure: Structure, closed: bool = False, co
     return Case(recording, drive, _reading_variance(recording), contact, start)
 
 
+@contextmanager
+def _unheeded() -> Iterator[None]:
+    """For values so wild that the model overflows, and parameters that leave no trace and so have no end of variance.
+
+    Both are looked for in what comes out, and no news. Every thread has to be told anew.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        yield
+
+
 @dataclass(frozen=True, eq=False)
 class Point:
     """A model at certain values: what there is to know for the next step."""
@@ -117,6 +128,7 @@ class Point:
     says: str = ""
 
     @property
+    @_unheeded()
     def covariance(self) -> FloatArray:
         """Of the free parameters; what cannot be seen gets a huge variance, not a small one."""
         size = np.sqrt(np.maximum(np.diag(self.normal), 1e-300))
@@ -126,6 +138,7 @@ class Point:
         return np.asarray(inverse / np.outer(size, size))
 
     @property
+    @_unheeded()
     def robust_covariance(self) -> FloatArray:
         """Covariance (n, n) of the free parameters that holds where the model errs a little, too.
 
@@ -139,6 +152,7 @@ class Point:
         return np.asarray(plain * np.outer(wider, wider))
 
     @property
+    @_unheeded()
     def unit(self) -> float:
         """What one unit of deviance is worth here: the more the model errs, the less a change of one means.
 
@@ -288,6 +302,7 @@ def _scale_of(z2: FloatArray) -> float:
     return scale
 
 
+@_unheeded()
 def evaluate(
     cases: Sequence[Case],
     structure: Structure,
@@ -358,6 +373,7 @@ def _in_stretches(
             begin += len(r.error)
 
 
+@_unheeded()
 def robust_covariance(cases: Sequence[Case], point: Point, stretch: float = _STRETCH) -> FloatArray:
     """The point's, by leaving out each stretch (s) in turn.
 
