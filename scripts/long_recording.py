@@ -22,25 +22,16 @@ from twin.axis import Structure
 from twin.effects.catalogue import BASE
 
 PERIOD = 0.002
-COUNTS = 10000  # per revolution
+COUNTS = 10000  # per revolution, as the rig file says
 VALUES = {
     "input_gain": 0.3, "viscous_friction": 2.0, "dead_band_forward": 4.0, "dead_band_reverse": 5.0,
     "backlash_gap": 0.03, "motor_share": 0.25, "friction_share": 0.7, "tooth_frequency": 90.0, "tooth_damping": 0.3,
 }  # fmt: skip
-RIG = f"""[time]
-sample_time = {PERIOD}
-[input]
-column = "duty"
-unit = "%"
-[output]
-column = "counts"
-unit = "count"
-counts_per_revolution = {COUNTS}
-"""
+RIG = Path(__file__).resolve().parents[1] / "models" / "shipped" / "rig.toml"
 
 
 def record(folder: Path, minutes: float) -> Path:
-    """A recording of steps under a noisy drive, and its rig file beside it."""
+    """A recording of steps under a noisy drive, for the shipped rig file."""
     rng = np.random.default_rng(0)
     count = int(60.0 * minutes / PERIOD)
     structure = Structure.of([*BASE, "tooth_compliance"])
@@ -53,10 +44,10 @@ def record(folder: Path, minutes: float) -> Path:
     position, _ = kernel.predict(drive, kernel.vector(structure, VALUES), start, kernel.free_gains(count))
     path = folder / "recording.csv"
     with path.open("w", encoding="utf-8") as out:
-        out.write("duty,counts\n")
-        for u, y in zip(duty.tolist(), np.round(position * COUNTS / (2.0 * np.pi)).astype(int).tolist(), strict=True):
-            out.write(f"{u},{y}\n")
-    (folder / "rig.toml").write_text(RIG, encoding="utf-8")
+        out.write("t,duty,counts\n")
+        counts = np.round(position * COUNTS / (2.0 * np.pi)).astype(int)
+        for t, u, y in zip(drive.time.tolist(), duty.tolist(), counts.tolist(), strict=True):
+            out.write(f"{t:.3f},{u},{y}\n")
     return path
 
 
@@ -70,7 +61,8 @@ def bench_long(minutes: Sequence[float] = (4.0, 15.0, 60.0)) -> None:
                 "import resource, sys; from twin.cli import main; done = main(sys.argv[1:]); "
                 "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024); sys.exit(done)"
             )
-            command = [sys.executable, "-c", code, "identify", str(path), "--out", f"{name}/model.toml", "--quiet"]
+            command = [sys.executable, "-c", code, "identify", str(path), "--rig", str(RIG)]
+            command += ["--out", f"{name}/model.toml", "--quiet"]
             done = subprocess.run(
                 command, env={**os.environ, "OMP_NUM_THREADS": "1"}, check=True, capture_output=True, text=True
             )

@@ -2,7 +2,7 @@
 
     python scripts/make_recording.py --out models/shipped
 
-writes recording.csv and rig.toml, which the tool reads, and truth.json, which it does not.
+writes recording.csv and rig.toml (the shipped one), which the tool reads, and truth.json, which it does not.
 """
 
 from __future__ import annotations
@@ -21,22 +21,8 @@ from excitations import FREE, rich
 from mujoco_rig import Concealed, Rig, Simulated, draw_effect, draw_rig, simulate
 
 CANDIDATES = ("coulomb_friction", "gravity", "motor_lag", "torque_ripple")
-COUNTS = 10000
-RIG_FILE = f"""\
-# A motor-driven link behind a gear with play, recorded at its drive and at the encoder on the link's shaft.
-[time]
-column = "t"
-unit = "s"
-
-[input]
-column = "duty"
-unit = "%"
-
-[output]
-column = "counts"
-unit = "count"
-counts_per_revolution = {COUNTS}
-"""
+RIG_FILE = Path(__file__).resolve().parents[1] / "models" / "shipped" / "rig.toml"
+COUNTS = 10000  # per revolution, as it says there
 
 
 def make(seed: int, duration: float = 60.0) -> tuple[Rig, Concealed, Simulated]:
@@ -56,7 +42,7 @@ def write(out: Path, seed: int) -> None:
     rows = zip(run.time.tolist(), run.duty.tolist(), run.counts.tolist(), strict=True)
     lines = [f"{t:.3f},{duty:g},{counts}\n" for t, duty, counts in rows]
     (out / "recording.csv").write_text("t,duty,counts\n" + "".join(lines), encoding="utf-8", newline="\n")
-    (out / "rig.toml").write_text(RIG_FILE, encoding="utf-8", newline="\n")
+    (out / "rig.toml").write_bytes(RIG_FILE.read_bytes())
     truth = {
         "seed": seed,
         "excitation": "rich",

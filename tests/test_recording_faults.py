@@ -13,17 +13,7 @@ from twin.recording import Recording, load
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 MODELS = Path(__file__).resolve().parents[1] / "models"
 COUNT = 2 * math.pi / 10_000
-RIG = """
-[time]
-column = "t"
-[input]
-column = "duty"
-unit = "%"
-[output]
-column = "counts"
-unit = "count"
-counts_per_revolution = 10000
-"""
+RIG = (MODELS / "shipped" / "rig.toml").read_text()
 
 
 def square_wave(rng: np.random.Generator, samples: int) -> np.ndarray:
