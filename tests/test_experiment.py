@@ -200,6 +200,40 @@ def test_a_missing_reversal_is_asked_for_and_does_what_was_promised():
     assert relative.max() < 3.0 * experiment._KNOWN
 
 
+def rested(point: Point, case: Case, signal: experiment.Signal) -> np.ndarray:
+    bench = experiment._bench([point], [case], Limits(input=40.0, travel=np.inf))
+    (pair,) = (experiment._Pair(point, point, point.values),)
+    trial = experiment._try(bench, signal, [pair])
+    assert trial is not None
+    return trial.seen[0].louder
+
+
+def test_readings_count_for_less_where_the_motor_rattles_in_its_gap():
+    """Noise and an unknown start grow from bounce to bounce; driven one way, the gears stay in mesh."""
+    structure = structure_of().with_("tooth_compliance")
+    case = likelihood.prepare(played((), *steps()), structure)
+    values = {**VALUES, "tooth_frequency": 100.0, "tooth_damping": 0.15}
+    point = likelihood.evaluate([case], structure, values, DENSITY, identify.free_parameters(structure))
+    steady = rested(point, case, ((4.0, 30.0, 30.0),))
+    rattle = rested(point, case, tuple((0.06, level, level) for level in (30.0, -30.0) * 33))
+    assert np.mean(steady[500:]) < 1.5
+    assert np.mean(rattle) > 3.0 * np.mean(steady)
+
+
+def test_stiff_teeth_do_not_ring_up_in_the_design():
+    """Twice the internal step of a fit had made teeth of 300 Hz unstable, and every block promised 1e50."""
+    structure = structure_of().with_("tooth_compliance")
+    case = likelihood.prepare(played((), *steps()), structure)
+    values = {**VALUES, "tooth_frequency": 299.0, "tooth_damping": 0.46}
+    point = likelihood.evaluate([case], structure, values, DENSITY, identify.free_parameters(structure))
+    designed = sharpen(point, [case])
+    assert len(designed.time) and len(designed.about) == 1
+    bench = experiment._bench([point], [case], Limits())
+    pair = experiment._Pair(point, point, point.values)
+    found = [np.diag(t.whole[0].information) for t in experiment._candidates(bench, [pair])]
+    assert np.max(found) < 1e6 * np.max(np.diag(point.normal))
+
+
 def test_rigs_that_log_speed_get_an_experiment_too():
     structure = structure_of("coulomb_friction")
     time, command = steps()

@@ -12,6 +12,11 @@ where a full one left nothing, since one gap crossing or one edge is soon explai
 of Atkinson and Fedorov (Biometrika 62, 1975) with the divergence of Box and Hill (Technometrics 9, 1967). Rival
 noise levels do not depend on the signal and are left out.
 
+How sharply a reading speaks is not taken from the predictor's own word. Where a light motor rattles in its gap, noise
+and an unknown start grow from bounce to bounce; sensitivities grow with them and promise knowledge that nobody gets:
+such signals were the favourites, and left real rigs' recordings that no fit could follow. So each truth is run a few
+times with noise, from every side of its gap, and what its own predictor then errs is what errors are compared with.
+
 One model. The information about its parameters that a block adds to the present one (Goodwin and Payne,
 Dynamic System Identification, 1977).
 
@@ -54,9 +59,11 @@ _CHECK = 0.2  # s between the moments at which a signal may be cut
 _RIVALS = 3  # the leader is separated from so many less one
 _TEMPI = (1.0, 0.6, 0.35, 0.2, 0.1)  # by which a block is shortened until it keeps within the travel
 _WORTH = 0.002  # of all that is needed: what a second must bring
-_TRUSTED = 0.9  # of a given travel: models err, most of all where little more than the dead-band is overcome
+_TRUSTED = 0.9  # of the travel: models err, most of all where little more than the dead-band is overcome
 _SHORT_LIST = 8  # blocks that are looked at again after each refit
 _ROUNDS = 12  # of a refit
+_SIDES = (-1.0, 0.0, 1.0)  # of its gap on which the motor may stand when the signal begins
+_LOST = 1e3  # standard deviations that a reading is off where a run ended in no number
 _BOUNDS = {p.name: (p.lower, p.upper) for p in EVERYTHING.parameters}
 #: What counts only in proportion to a gain.
 _GAIN_OF = {
@@ -168,11 +175,25 @@ Shortfall = Callable[[Ledger], float]
 
 
 @dataclass(frozen=True, eq=False)
+class _Seen:
+    """What a truth would have us read, and how much larger its own predictor's squared errors are than it thinks."""
+
+    case: Case
+    louder: FloatArray  # (N,), no less than 1
+
+    def until(self, end: float) -> _Seen:
+        keep = self.case.drive.time <= end + 1e-9
+        drive = self.case.drive
+        cut = replace(drive, time=drive.time[keep], command=drive.command[keep], measured=drive.measured[keep])
+        return _Seen(replace(self.case, drive=cut), self.louder[keep])
+
+
+@dataclass(frozen=True, eq=False)
 class _Trial:
     """A signal that keeps within the travel, what each pair's truth would have us read, and what the rivals say."""
 
     signal: Signal
-    seen: tuple[Case, ...]
+    seen: tuple[_Seen, ...]
     safe: NDArray[np.bool_]  # at each check: the signal may end there
     evidence: tuple[list[_Evidence], ...]  # for each pair, up to each check
 
@@ -309,13 +330,14 @@ def _bench(points: Sequence[Point], cases: Sequence[Case], limits: Limits) -> _B
         raise BadInput("the recordings' input is zero throughout; say how large the experiment's may be")
     sample_time = limits.sample_time or float(np.median(np.diff(cases[0].recording.time)))
     start = 0.0 if cases[0].drive.speed else cases[0].start[0]
-    band = _recorded_band(cases)
+    low, high = _recorded_band(cases)
     if limits.travel is not None:
-        band = start - _TRUSTED * limits.travel, start + _TRUSTED * limits.travel
+        low, high = start - limits.travel, start + limits.travel
+    band = start + _TRUSTED * (low - start), start + _TRUSTED * (high - start)
     bench = _Bench(
         template=cases[0].recording,
         reading_variance=float(np.median([c.reading_variance for c in cases])),
-        contact_step=_DESIGN_STEP / max(p.structure.substeps for p in points) * (1.0 + 1e-9),
+        contact_step=0.002 / max(p.structure.substeps for p in points) * (1.0 + 1e-9),
         sample_time=sample_time,
         step=sample_time * max(math.ceil(_DESIGN_STEP / sample_time - 1e-9), 1),
         lowest=lowest,
@@ -347,6 +369,30 @@ def _free_run(bench: _Bench, point: Point, time: FloatArray, command: FloatArray
     return _case(bench, time, command, output, point.structure), states
 
 
+def _louder(bench: _Bench, point: Point, case: Case, checks: NDArray[np.int_]) -> FloatArray:
+    """How much larger than it thinks the model's squared errors are on noisy recordings of itself, (N,), at least 1."""
+    drive, p = case.drive, kernel.vector(point.structure, point.values)
+    variance = bench.reading_variance * max(point.scale, 1e-12)
+    shake = math.sqrt(point.density * variance / bench.step) / max(abs(point.values.get("input_gain", 1.0)), 1e-12)
+    rng = np.random.default_rng(0)
+    total = np.zeros(len(drive.time))
+    for side in _SIDES:
+        # A drive inside its dead-band passes no noise on; one that stands still needs none.
+        noise = np.where(drive.command != 0.0, shake * rng.standard_normal(len(drive.time)), 0.0)
+        x = kernel.start_state(bench.start, 0.0, 0.5 * side * point.values.get("backlash_gap", 0.0))
+        free = kernel.free_gains(len(drive.time))
+        output, _ = kernel.predict(replace(drive, command=drive.command + noise), p, x, free)
+        read = output + math.sqrt(variance) * rng.standard_normal(len(output))
+        noisy = replace(case, drive=replace(drive, measured=read))
+        run = likelihood.innovations(noisy, point.structure, point.values, point.density)
+        z = np.nan_to_num(np.abs(run.error) / np.sqrt(run.variance * max(point.scale, 1e-12)), nan=_LOST)
+        far = likelihood.ROBUST_LIMIT * (2.0 * z - likelihood.ROBUST_LIMIT)
+        total += np.where(z > likelihood.ROBUST_LIMIT, far, z**2) / len(_SIDES)
+    begins = np.concatenate([[0], checks[:-1] + 1])
+    lengths = np.diff(np.append(begins, len(total)))
+    return np.repeat(np.maximum(np.add.reduceat(total, begins) / lengths, 1.0), lengths)
+
+
 def _resting_place(bench: _Bench, point: Point) -> float:
     """Where the axis comes to rest when it is left alone where the first recording began."""
     time = bench.step * np.arange(round(5.0 / bench.step), dtype=float)
@@ -376,18 +422,18 @@ def _checks(time: FloatArray) -> NDArray[np.int_]:
     return np.unique(np.searchsorted(time, np.linspace(0.0, float(time[-1]), count + 1)[1:] - 1e-9))
 
 
-def _evidence(seen: Case, pair: _Pair) -> list[_Evidence]:
+def _evidence(seen: _Seen, pair: _Pair) -> list[_Evidence]:
     """What the rival's predictor makes of what the truth would have us read, up to each check."""
     rival = pair.rival
-    run = likelihood.innovations(seen, rival.structure, pair.values, rival.density, rival.free)
-    deviation = np.sqrt(run.variance * max(rival.scale, 1e-12))
+    run = likelihood.innovations(seen.case, rival.structure, pair.values, rival.density, rival.free)
+    deviation = np.sqrt(run.variance * max(rival.scale, 1e-12) * seen.louder)
     z = run.error / deviation
     # Errors beyond the robust limit count linearly, as they will in the fit.
     weight = np.sqrt(np.minimum(1.0, likelihood.ROBUST_LIMIT / np.maximum(np.abs(z), 1e-300)))
     z, slopes = np.nan_to_num(z * weight), np.nan_to_num(run.slopes * (weight / deviation)[:, None])
     n, out, first = len(rival.free), [], 0
     total = _Evidence(0.0, np.zeros(n), np.zeros((n, n)))
-    for check in _checks(seen.drive.time):
+    for check in _checks(seen.case.drive.time):
         k = slice(first, check + 1)
         total = total + _Evidence(float(z[k] @ z[k]), slopes[k].T @ z[k], slopes[k].T @ slopes[k])
         out.append(total)
@@ -399,14 +445,15 @@ def _try(bench: _Bench, signal: Signal, pairs: Sequence[_Pair]) -> _Trial | None
     """Simulate each truth once, and let the rivals predict what it shows; None where a truth leaves the travel."""
     time, command = _sampled(signal, bench.step, bench.lowest, bench.highest)
     checks = _checks(time)
-    runs: dict[int, Case] = {}
+    runs: dict[int, _Seen] = {}
     safe = np.ones(len(checks), dtype=bool)
     for pair in pairs:
         if id(pair.truth) not in runs:
-            runs[id(pair.truth)], states = _free_run(bench, pair.truth, time, command)
+            case, states = _free_run(bench, pair.truth, time, command)
             safe &= _safe(bench, pair.truth, states, checks)
             if not safe[-1]:
                 return None
+            runs[id(pair.truth)] = _Seen(case, _louder(bench, pair.truth, case, checks))
     seen = tuple(runs[id(pair.truth)] for pair in pairs)
     return _Trial(signal, seen, safe, tuple(_evidence(c, pair) for c, pair in zip(seen, pairs, strict=True)))
 
@@ -431,7 +478,7 @@ def _moved(pair: _Pair, total: _Evidence, damping: float) -> _Pair:
     return replace(pair, values={**values, **dict(zip(free, map(float, there), strict=True))})
 
 
-def _climbed(seen: Case, pair: _Pair) -> tuple[_Pair, float]:
+def _climbed(seen: _Seen, pair: _Pair) -> tuple[_Pair, float]:
     """The rival where it explains the present recordings and the new one best (Levenberg-Marquardt), and how badly."""
     best, damping = pair, 1e-3
     total = best.before + _evidence(seen, best)[-1]
@@ -448,7 +495,7 @@ def _climbed(seen: Case, pair: _Pair) -> tuple[_Pair, float]:
     return best, total.squared
 
 
-def _refitted(seen: Case, pair: _Pair) -> _Pair:
+def _refitted(seen: _Seen, pair: _Pair) -> _Pair:
     """The better of two climbs: from where the rival is, and from what it shares with the truth."""
     shared = {n: pair.truth.values.get(n, v) for n, v in pair.values.items()}
     climbs = [_climbed(seen, pair), _climbed(seen, replace(pair, values=shared))]
@@ -501,20 +548,13 @@ class _Plan:
 
 def _planned(trial: _Trial, pairs: Sequence[_Pair], check: int = -1) -> _Plan:
     """The signal up to a check, with every rival refitted to it; a model is not refitted to itself."""
-    end = float(trial.seen[0].drive.time[_checks(trial.seen[0].drive.time)[check]])
-    seen = [_until(c, end) for c in trial.seen]
+    time = trial.seen[0].case.drive.time
+    end = float(time[_checks(time)[check]])
+    seen = [s.until(end) for s in trial.seen]
     moved = tuple(p if p.truth is p.rival else _refitted(c, p) for p, c in zip(pairs, seen, strict=True))
     evidence = tuple(_evidence(c, p) for c, p in zip(seen, moved, strict=True))
     cut = _Trial(_cut(trial.signal, end), tuple(seen), trial.safe[: len(evidence[0])], evidence)
     return _Plan(moved, _sum([p.before for p in moved], cut.whole), cut)
-
-
-def _until(case: Case, end: float) -> Case:
-    keep = case.drive.time <= end + 1e-9
-    drive = replace(
-        case.drive, time=case.drive.time[keep], command=case.drive.command[keep], measured=case.drive.measured[keep]
-    )
-    return replace(case, drive=drive)
 
 
 def _compose(bench: _Bench, pairs: Sequence[_Pair], shortfall: Shortfall) -> _Plan:
@@ -544,7 +584,8 @@ def _shortened(plan: _Plan, pairs: Sequence[_Pair], shortfall: Shortfall) -> _Pl
     """The signal up to where it has told enough."""
     assert plan.trial is not None
     before = [p.before for p in plan.pairs]
-    times = plan.trial.seen[0].drive.time[_checks(plan.trial.seen[0].drive.time)]
+    time = plan.trial.seen[0].case.drive.time
+    times = time[_checks(time)]
     for check in np.flatnonzero(plan.trial.safe & (times >= _SHORTEST))[:-1]:
         if shortfall(_sum(before, [e[check] for e in plan.trial.evidence])) > 0.0:
             continue
@@ -554,9 +595,9 @@ def _shortened(plan: _Plan, pairs: Sequence[_Pair], shortfall: Shortfall) -> _Pl
     return plan
 
 
-def _played(bench: _Bench, signal: Signal, why: str) -> Experiment:
+def _played(bench: _Bench, signal: Signal, why: str, about: tuple[str, ...]) -> Experiment:
     time, command = _sampled(signal, bench.sample_time, bench.lowest, bench.highest)
-    return Experiment(why, time, command)
+    return Experiment(why, time, command, about)
 
 
 # ---- the two questions ----
@@ -602,6 +643,7 @@ def separate(rivals: Sequence[Point], cases: Sequence[Case], limits: Limits | No
         return sharpen(rivals[0], cases, limits)
     bench = _bench(rivals[:_RIVALS], cases, limits)
     pairs = _pairs(rivals)
+    shown = [r.structure for r in rivals[:_RIVALS]]
 
     def shortfall(ledger: Ledger) -> float:
         return sum(max(1.0 - e.divergence / (_SAFETY * NEEDED), 0.0) for e in ledger) / len(ledger)
@@ -622,7 +664,8 @@ def separate(rivals: Sequence[Point], cases: Sequence[Case], limits: Limits | No
             f"{seconds} go furthest within these limits to {goal}, but in the worst case the wrong model loses a "
             f"log-likelihood of only {margin:.1f}. {NEEDED:.0f} make a verdict: allow more input, travel or time."
         )
-    return _played(bench, plan.trial.signal, why)
+    told = dict.fromkeys(i for r in rivals[:_RIVALS] for i in r.structure.named if not all(i in o for o in shown))
+    return _played(bench, plan.trial.signal, why, tuple(told))
 
 
 def _sizes(point: Point, bench: _Bench) -> FloatArray:
@@ -697,4 +740,4 @@ def sharpen(point: Point, cases: Sequence[Case], limits: Limits | None = None) -
         f"{known}: its standard error is {was}. {plan.trial.length:.1f} s of this input should bring it to "
         f"{after * size:.2g}{unit}."
     )
-    return _played(bench, plan.trial.signal, why)
+    return _played(bench, plan.trial.signal, why, (name,))

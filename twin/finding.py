@@ -61,11 +61,15 @@ class Trace:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What to record next: why, and the input that would tell (time in s and input (N,)), or nothing."""
+    """What to record next: why, and the input that would tell (time in s and input (N,)), or nothing.
+
+    `about` is the parameter that it fixes, or the effects that it tells apart.
+    """
 
     why: str = ""
     time: FloatArray = field(default_factory=lambda: np.zeros(0))
     input: FloatArray = field(default_factory=lambda: np.zeros(0))
+    about: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
