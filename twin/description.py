@@ -41,6 +41,10 @@ class Derivative:
         return f"der({self.state.name})"
 
     @property
+    def says(self) -> str:
+        return f"rate of {self.state.name}"
+
+    @property
     def unit(self) -> str:
         return "1/s" if self.state.unit == "1" else f"{self.state.unit}/s"
 
@@ -51,6 +55,10 @@ class Margin:
 
     name: str
     reference: int
+
+    @property
+    def says(self) -> str:
+        return f"{self.name.replace('_', ' ')}: zero where the mode of motion changes"
 
 
 @dataclass(frozen=True)
@@ -89,19 +97,26 @@ def add_units(parent: ET.Element, names: set[str]) -> None:
             ET.SubElement(unit, "DisplayUnit", name="deg", factor=_number(_DEGREES_PER_RADIAN))
 
 
-def _quantity(v: Variable) -> dict[str, str]:
-    """Unit, bounds and start: attributes that FMI 2 and FMI 3 name alike, in the schema's order."""
+def _named(v: Variable) -> dict[str, str]:
+    """What a variable is: attributes that FMI 2 and FMI 3 name alike."""
+    given = {"name": v.name, "valueReference": str(v.reference), "description": v.description}
+    given |= {"causality": v.causality, "variability": v.variability}
+    return given | ({"initial": v.initial} if v.initial else {})
+
+
+def _quantity(v: Variable, solver: Solver) -> dict[str, str]:
+    """Unit, bounds, start and whether it may jump under a solver: alike as well, in the schema's order."""
     given = {"unit": v.unit}
     for key, value in (("min", v.min), ("max", v.max), ("nominal", v.nominal), ("start", v.start)):
         if value is not None:
             given[key] = _number(value)
-    return given
+    jumps = v.name in ("velocity", "motor_velocity") and any(d.state.name == v.name for d in solver.derivatives)
+    return given | ({"reinit": "true"} if jumps else {})
 
 
-def _margin(m: Margin) -> dict[str, str]:
-    said = f"{m.name.replace('_', ' ')}: zero where the mode of motion changes"
+def _calculated(part: Derivative | Margin) -> dict[str, str]:
     kind = {"causality": "local", "variability": "continuous", "initial": "calculated"}
-    return {"name": m.name, "valueReference": str(m.reference), "description": said} | kind
+    return {"name": part.name, "valueReference": str(part.reference), "description": part.says} | kind
 
 
 def _root(identity: Identity, version: str, token_name: str) -> ET.Element:
@@ -119,7 +134,11 @@ def _root(identity: Identity, version: str, token_name: str) -> ET.Element:
     )
 
 
-def _experiment(root: ET.Element, identity: Identity) -> None:
+def _add_common(root: ET.Element, identity: Identity, shown: Sequence[Variable], solver: Solver) -> None:
+    """What stands between the kinds of simulation and the variables, alike in FMI 2 and FMI 3."""
+    add_units(root, {v.unit for v in shown} | {d.unit for d in solver.derivatives})
+    categories = ET.SubElement(root, "LogCategories")
+    ET.SubElement(categories, "Category", name="logStatusError", description="why a call was refused")
     ET.SubElement(root, "DefaultExperiment", startTime="0.0", stepSize=_number(identity.sample_time))
 
 
@@ -140,28 +159,15 @@ def fmi2(identity: Identity, shown: Sequence[Variable], sources: tuple[str, ...]
         files = ET.SubElement(kind, "SourceFiles")
         for name in sources:
             ET.SubElement(files, "File", name=name)
-    add_units(root, {v.unit for v in shown} | {d.unit for d in solver.derivatives})
-    categories = ET.SubElement(root, "LogCategories")
-    ET.SubElement(categories, "Category", name="logStatusError", description="why a call was refused")
-    _experiment(root, identity)
+    _add_common(root, identity, shown, solver)
     listed = ET.SubElement(root, "ModelVariables")
-    jumping = {d.state.name for d in solver.derivatives} & {"velocity", "motor_velocity"}
     for v in shown:
-        attributes = {"name": v.name, "valueReference": str(v.reference), "description": v.description}
-        attributes |= {"causality": v.causality, "variability": v.variability}
-        if v.initial:
-            attributes["initial"] = v.initial
-        real = _quantity(v)
-        if v.name in jumping:
-            real["reinit"] = "true"
-        ET.SubElement(ET.SubElement(listed, "ScalarVariable", attributes), "Real", real)
+        ET.SubElement(ET.SubElement(listed, "ScalarVariable", _named(v)), "Real", _quantity(v, solver))
     for d in solver.derivatives:
-        attributes = {"name": d.name, "valueReference": str(d.reference), "description": f"rate of {d.state.name}"}
-        attributes |= {"causality": "local", "variability": "continuous", "initial": "calculated"}
         real = {"unit": d.unit, "derivative": str(d.state.reference + 1)}
-        ET.SubElement(ET.SubElement(listed, "ScalarVariable", attributes), "Real", real)
+        ET.SubElement(ET.SubElement(listed, "ScalarVariable", _calculated(d)), "Real", real)
     for m in solver.margins:
-        ET.SubElement(ET.SubElement(listed, "ScalarVariable", _margin(m)), "Real", unit="1")
+        ET.SubElement(ET.SubElement(listed, "ScalarVariable", _calculated(m)), "Real", unit="1")
     index = {v.name: str(v.reference + 1) for v in shown}
     structure = ET.SubElement(root, "ModelStructure")
     outputs = ET.SubElement(structure, "Outputs")
@@ -190,25 +196,14 @@ def fmi3(identity: Identity, shown: Sequence[Variable], solver: Solver) -> bytes
     if solver.derivatives:
         ET.SubElement(root, "ModelExchange", can)
     ET.SubElement(root, "CoSimulation", can | {"canHandleVariableCommunicationStepSize": "true"})
-    add_units(root, {v.unit for v in shown} | {d.unit for d in solver.derivatives})
-    categories = ET.SubElement(root, "LogCategories")
-    ET.SubElement(categories, "Category", name="logStatusError", description="why a call was refused")
-    _experiment(root, identity)
+    _add_common(root, identity, shown, solver)
     listed = ET.SubElement(root, "ModelVariables")
-    jumping = {d.state.name for d in solver.derivatives} & {"velocity", "motor_velocity"}
     for v in shown:
-        attributes = {"name": v.name, "valueReference": str(v.reference), "description": v.description}
-        attributes |= {"causality": v.causality, "variability": v.variability}
-        if v.initial:
-            attributes["initial"] = v.initial
-        jump = {"reinit": "true"} if v.name in jumping else {}
-        ET.SubElement(listed, "Float64", attributes | _quantity(v) | jump)
+        ET.SubElement(listed, "Float64", _named(v) | _quantity(v, solver))
     for d in solver.derivatives:
-        attributes = {"name": d.name, "valueReference": str(d.reference), "description": f"rate of {d.state.name}"}
-        attributes |= {"causality": "local", "variability": "continuous", "initial": "calculated"}
-        ET.SubElement(listed, "Float64", attributes | {"unit": d.unit, "derivative": str(d.state.reference)})
+        ET.SubElement(listed, "Float64", _calculated(d) | {"unit": d.unit, "derivative": str(d.state.reference)})
     for m in solver.margins:
-        ET.SubElement(listed, "Float64", _margin(m) | {"unit": "1"})
+        ET.SubElement(listed, "Float64", _calculated(m) | {"unit": "1"})
     after = str(len(shown) + len(solver.derivatives) + len(solver.margins))
     clock = {"name": "time", "valueReference": after, "description": "the importer's time"}
     clock |= {"causality": "independent", "variability": "continuous", "unit": "s"}
