@@ -8,6 +8,8 @@ file that cannot be used.
 from __future__ import annotations
 
 import argparse
+import csv
+import io
 import os
 import sys
 import tempfile
@@ -155,7 +157,7 @@ def _run(args: argparse.Namespace) -> int:
     _check_outputs(args)
     with _progress(args) as tell:
         recordings, rig = _load(args, tell)
-        from twin import finding, phrases, pipeline
+        from twin import cosim, finding, phrases, pipeline
 
         story = pipeline.run(recordings, rig, args.out, args.more, args.fewer, args.bandwidth, args.force, tell)
     d = story.diagnosis
@@ -169,19 +171,13 @@ def _run(args: argparse.Namespace) -> int:
         "diagnosis": finding.to_json(d, files.get("next_experiment.csv", "")),
         "parameters": {"before": _parameters(d.before), "after": _parameters(d.after)},
         "fmu": [vars(c) for c in story.checks],
-        "tracking": None if story.tracking is None else _tracking(story.tracking),
+        "tracking": None if story.tracking is None else cosim.to_json(story.tracking),
         "seconds": dict(story.seconds),
     }
     said = [*_assumptions(story.rig), *says, *story.remarks]
     said.append(f"Everything is in {args.out / 'report.html'}; the twin is {args.out / 'improved.fmu'}.")
     _answer(args, said, answer)
     return 0
-
-
-def _tracking(tracking: Any) -> dict[str, Any]:
-    from twin.cosim import to_json
-
-    return to_json(tracking)
 
 
 def _identify(args: argparse.Namespace) -> int:
@@ -343,9 +339,6 @@ def _simulation_csv(recordings: Sequence[Recording], ran: Sequence[Any], closed:
     """One row per stamp; with several recordings, their name in a first column. The input is the recorded one, or
     where the loop is closed what it commanded.
     """
-    import csv
-    import io
-
     several = len(recordings) > 1
     out = io.StringIO()
     rows = csv.writer(out, lineterminator="\n")
@@ -450,10 +443,13 @@ def _control(args: argparse.Namespace) -> int:
 
 def _mapping(pairs: Sequence[str]) -> dict[str, str]:
     """NAME=NAME options. Raises BadInput."""
+    found = {}
     for pair in pairs:
-        if not all(pair.partition("=")):
+        ours, _, theirs = pair.partition("=")
+        if not (ours and theirs):
             raise BadInput(f"--map is {pair!r}: write it as OURS=THEIRS, such as duty=motor_command")
-    return {ours: theirs for ours, _, theirs in (pair.partition("=") for pair in pairs)}
+        found[ours] = theirs
+    return found
 
 
 def _cosim(args: argparse.Namespace) -> int:
@@ -606,7 +602,6 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     _add_out(control, "CONTROLLER.toml")
     control.add_argument("--bandwidth", type=float, metavar="HZ", help="default: what the axis allows")
     control.add_argument("--limit", type=float, help="largest command; default: the drive's, or the largest recorded")
-
     control.add_argument(
         "--draws", type=int, default=200, metavar="N", help="axes drawn from the parameters' covariance; 0: none"
     )
