@@ -302,7 +302,7 @@ def shapes(diagnosis: Diagnosis) -> str:
         axes.set_title(f"over {name}: explains {tells}" if large else f"{name}: {tells}", fontsize=9 if large else 8.5)
 
     def draw(figure: Figure) -> None:
-        grid = figure.add_gridspec(2, 4, width_ratios=(1.0, 1.0, 1.0, 1.0))
+        grid = figure.add_gridspec(2, 4)
         large = figure.add_subplot(grid[:, :2])
         fill(large, first[0], True)
         large.set_ylabel(f"missing torque, {_label(unit + '/s^2')}")

@@ -23,11 +23,7 @@ _NICE = {"N*m": "N·m", "kg*m^2": "kg·m²", "kg*m": "kg·m", "^2": "²", "^3": 
 
 def unit_text(unit: str) -> str:
     """A unit as it is printed; nothing for the unit one."""
-    if unit == "1":
-        return ""
-    for plain, nice in _NICE.items():
-        unit = unit.replace(plain, nice)
-    return unit
+    return "" if unit == "1" else pretty(unit)
 
 
 def pretty(text: str) -> str:

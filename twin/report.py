@@ -90,13 +90,9 @@ def _key(kind: str, text: str) -> str:
 
 def _masthead(story: Story) -> str:
     d = story.diagnosis
-    verdict = {
-        "explained": "explained", "nothing_missing": "nothing missing", "partly_explained": "partly explained",
-        "unexplained": "unexplained",
-    }[d.verdict]  # fmt: skip
     return (
         '<header><p class="kicker">Digital twin of one axis '
-        f'<span class="verdict {d.verdict}">{verdict}</span></p>'
+        f'<span class="verdict {d.verdict}">{d.verdict.replace("_", " ")}</span></p>'
         f"<h1>{escape(phrases.headline(d))}</h1>"
         f"{_said(phrases.recordings_sentence(d.recordings), 'source')}</header>"
     )
@@ -162,7 +158,7 @@ def _equation(shown: latex.Equation, says: str, new: Sequence[str]) -> str:
 def _finding(found: Finding, model: Model) -> str:
     rows = [
         (
-            f"{figures.math_svg(latex.symbol(n, model.axis_unit))}",
+            figures.math_svg(latex.symbol(n, model.axis_unit)),
             escape(model.parameter(n).meaning if n in model.values else n.replace("_", " ")),
             escape(measure(e.value, e.std, e.unit)),
         )
