@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import html
+import importlib.resources
 import importlib.util
 import math
 import tempfile
@@ -87,8 +88,8 @@ def solver(model: Model) -> Solver:
 def _solver_tables(model: Model) -> list[str]:
     """What an outside solver integrates and watches, as places behind the first state."""
     order, outside = (*STATES, *exchange.BEHIND), solver(model)
-    rates = [f"rate_{d.state.name}" for d in outside.derivatives]
-    states = [name.removeprefix("rate_") for name in rates]
+    states = [d.state.name for d in outside.derivatives]
+    rates = [f"rate_{name}" for name in states]
     lists = {"continuous": states, "derivative": rates, "indicator": [m.name for m in outside.margins]}
     # C has no empty arrays.
     return [
@@ -208,10 +209,7 @@ def of_axis(model: Model) -> Export:
 
 def plumbing(name: str) -> str:
     """A file of fmu_src/native."""
-    spec = importlib.util.find_spec("fmu_src")
-    places = (spec.submodule_search_locations if spec else None) or []
-    folder = next(Path(place) / "native" for place in places if (Path(place) / "native").is_dir())
-    return (folder / name).read_text(encoding="utf-8")
+    return importlib.resources.files("fmu_src").joinpath("native", name).read_text(encoding="utf-8")
 
 
 def _standard_header(name: str) -> str:
