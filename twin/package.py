@@ -227,12 +227,9 @@ def replay(
     Raises BadInput where the FMU refuses or its results are NaN.
     """
     opened = open_fmu(fmu)
-    names = {node.get("name") for node in opened.description.findall("ModelVariables/*")}
-    inputs = [
-        node.get("name", "")
-        for node in opened.description.findall("ModelVariables/*")
-        if node.get("causality") == "input"
-    ]
+    shown = opened.description.findall("ModelVariables/*")
+    names = {node.get("name") for node in shown}
+    inputs = [node.get("name", "") for node in shown if node.get("causality") == "input"]
     if len(inputs) != 1:
         raise BadInput(f"{fmu} has {len(inputs)} inputs, not one: give an FMU that twin export wrote")
     position, velocity = start_of(recording) if start is None else start

@@ -8,11 +8,12 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from fmpy.validation import validate_fmu
 
 from twin import control, controller, cosim, extend, finding, fitting, model, package, two_stage
+from twin.controller import Controller
+from twin.cosim import Tracking
 from twin.errors import BadInput
 from twin.files import check_place, json_text, put
 from twin.model import Model
@@ -46,7 +47,9 @@ def check_folder(out: Path, force: bool) -> None:
     check_place(out if out.is_dir() else out.parent)
 
 
-def _closed_loop(found: Model, fmu: Path, bandwidth: float | None) -> tuple[Any, Any, tuple[str, ...]]:
+def _closed_loop(
+    found: Model, fmu: Path, bandwidth: float | None
+) -> tuple[Controller | None, Tracking | None, tuple[str, ...]]:
     """Controller, tracking, and why there is none where there is none."""
     try:
         made = control.design(found, bandwidth)
@@ -93,10 +96,10 @@ def run(
         experiment = finding.experiment_csv(diagnosis.experiment, after.input_name)
         if experiment:
             put(scratch / "next_experiment.csv", experiment)
-        name = "next_experiment.csv" if experiment else ""
-        put(scratch / "diagnosis.json", json_text(finding.to_json(diagnosis, name)))
+        experiment_file = "next_experiment.csv" if experiment else ""
+        put(scratch / "diagnosis.json", json_text(finding.to_json(diagnosis, experiment_file)))
         seconds = {**diagnosis.seconds, "in all": time.perf_counter() - began}
-        story = Story(diagnosis, rig, simple, tuple(checks), made, tracking, name, seconds, remarks)
+        story = Story(diagnosis, rig, simple, tuple(checks), made, tracking, experiment_file, seconds, remarks)
         tell("writing the report", 0.96)
         put(scratch / "report.html", html(story))
         _publish(scratch, out)
