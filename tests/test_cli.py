@@ -338,6 +338,9 @@ def test_control_says_when_the_parameters_are_too_uncertain(capsys, bench):
     code, out, _ = call(capsys, "control", "sure.toml", "--out", "f.toml", *told, "1e-5")
     assert code == 1 and "Even with the parameters as they stand" in out and "learn" not in out
     assert "give an error above 0" in refused(capsys, bench, "control", "sure.toml", "--out", "g.toml", *told, "0")
+    assert "--draws is 0" in refused(
+        capsys, bench, "control", "sure.toml", "--out", "g.toml", "--max-peak", "1", "--draws", "0"
+    )
     (bench / "hand.toml").write_text(model.dumps(replace(found, fitted=(), covariance=np.zeros((0, 0)))))
     assert "no covariance" in refused(capsys, bench, "control", "hand.toml", "--out", "g.toml", *told, "1")
     code, out, _ = call(capsys, "control", "hand.toml", "--out", "g.toml")

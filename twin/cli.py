@@ -408,11 +408,16 @@ def _control(args: argparse.Namespace) -> int:
     from twin import model
 
     known = model.read(args.model)
+    if args.max_peak is not None:
+        if not args.max_peak > 0.0:
+            raise BadInput(f"--max-peak is {args.max_peak:g}: give an error above 0, in {known.axis_unit}")
+        if not known.fitted:
+            raise BadInput(f"{args.model} has no covariance to draw from, which --max-peak needs: identify it")
+        if not args.draws:
+            raise BadInput("--max-peak is asked of the draws, and --draws is 0: leave one of them out")
     from twin import control, controller, files, robust
 
     made = control.design(known, args.bandwidth, args.limit)
-    if args.max_peak is not None and not args.max_peak > 0.0:
-        raise BadInput(f"--max-peak is {args.max_peak:g}: give an error above 0, in {made.axis_unit}")
     says, found = [f"{args.out}: {made!r}.", *made.remarks], None
     if known.fitted and args.draws:
         with _progress(args) as tell:
@@ -425,8 +430,6 @@ def _control(args: argparse.Namespace) -> int:
         says += found.says
     elif not known.fitted:
         says.append("The model has no covariance, so the controller was not tried on what else the axis may be.")
-        if args.max_peak is not None:
-            raise BadInput(f"{args.model} has no covariance to draw from, which --max-peak needs: identify it")
     files.put(args.out, controller.dumps(made))
     answer = {
         "format": "twin-control/1", "controller": str(args.out), "bandwidth": made.bandwidth,
