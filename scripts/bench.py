@@ -71,13 +71,13 @@ def bench_kernel() -> None:
     stamps, unseen = np.arange(SAMPLES) * 0.002, np.full(SAMPLES, np.nan)
     drive = kernel.Drive(stamps, duty, unseen, False, kernel.known_vector({}), np.zeros(5), 0.0020001)
     p = kernel.vector(Structure.of(BASE), BASE_VALUES)
-    x, gains, names = kernel.start_state(0.0, 0.0, 0.0), kernel.free_gains(SAMPLES), tuple(BASE_VALUES)
+    x, names = kernel.start_state(0.0, 0.0, 0.0), tuple(BASE_VALUES)
     slope = np.zeros((len(x), len(names)))
-    position, _ = kernel.predict(drive, p, x, gains)
-    kernel.predict_with_slopes(drive, p, x, slope, names, gains)
+    position = kernel.predict(drive, p, x).reading
+    kernel.predict_with_slopes(drive, p, x, slope, names)
     print(f"first call, loading or compiling included: {time.perf_counter() - start:.1f} s")
-    value = best(lambda: kernel.predict(drive, p, x, gains))
-    slopes = best(lambda: kernel.predict_with_slopes(drive, p, x, slope, names, gains))
+    value = best(lambda: kernel.predict(drive, p, x))
+    slopes = best(lambda: kernel.predict_with_slopes(drive, p, x, slope, names))
     bare = bare_loop(duty)
     print(f"{SAMPLES} samples, base model, one core:")
     if bare is not None:

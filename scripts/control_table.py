@@ -29,7 +29,7 @@ from twin.cosim import Hunting, ModelPlant, Sampler, Tracking, close, simulate
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
 from twin.identify import identify
-from twin.kernel import Drive, free_gains, known_vector, predict, start_state, vector
+from twin.kernel import Drive, known_vector, predict, start_state, vector
 from twin.model import Model
 from twin.recording import Recording
 from twin.reference import make_reference
@@ -61,7 +61,7 @@ def record(model: Model, seed: int, seconds: float) -> Recording:
     nothing = np.full(len(time), math.nan)
     drive = Drive(time, duty, nothing, False, known_vector({}), np.zeros(5), model.longest_step)
     p = vector(model.structure, dict(model.values))
-    position, _ = predict(drive, p, start_state(0.4, 0.0, 0.0), free_gains(len(time)))
+    position = predict(drive, p, start_state(0.4, 0.0, 0.0)).reading
     return Recording("rig", time, duty, COUNT * np.round(position / COUNT), "%", "rad", COUNT)
 
 

@@ -101,9 +101,6 @@ def bounds(recording: Recording, truth: dict[str, float]) -> dict[str, float]:
     structure = base_structure()
     cases, free = [likelihood.prepare(recording, structure)], free_parameters(structure)
     density = likelihood.best_density(cases, structure, truth)
-    at_truth = likelihood.evaluate(cases, structure, truth, density, free)
-    _, density, cases = identify.loudness(cases, at_truth)
-    density = likelihood.best_density(cases, structure, truth, around=density)
     point = likelihood.evaluate(cases, structure, truth, density, free)
     return dict(zip(free, np.sqrt(np.diag(point.covariance)).tolist(), strict=True))
 

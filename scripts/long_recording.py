@@ -41,7 +41,7 @@ def record(folder: Path, minutes: float) -> Path:
         kernel.known_vector({}), np.zeros(5), PERIOD / structure.substeps * 1.000001,
     )  # fmt: skip
     start = kernel.start_state(0.0, 0.0, 0.0)
-    position, _ = kernel.predict(drive, kernel.vector(structure, VALUES), start, kernel.free_gains(count))
+    position = kernel.predict(drive, kernel.vector(structure, VALUES), start).reading
     path = folder / "recording.csv"
     with path.open("w", encoding="utf-8") as out:
         out.write("t,duty,counts\n")

@@ -58,7 +58,7 @@ def made(samples: int) -> Recording:
     nothing = np.full(samples, np.nan)
     drive = kernel.Drive(stamps, duty, nothing, False, kernel.known_vector({}), np.zeros(5), 1.000001 * PERIOD)
     start = kernel.start_state(0.0, 0.0, 0.0)
-    position, _ = kernel.predict(drive, kernel.vector(STRUCTURE, TRUTH), start, kernel.free_gains(samples))
+    position = kernel.predict(drive, kernel.vector(STRUCTURE, TRUTH), start).reading
     return Recording("made", stamps, duty, position, "%", "rad")
 
 

@@ -114,5 +114,6 @@ def run(
     step = 0.002 / structure.substeps if longest is None else longest
     x = kernel.start_state(0.0, 0.0, 0.0) if start is None else start
     recording = drive(time, command, step, known)
-    return kernel.predict(recording, kernel.vector(structure, values), x, kernel.free_gains(len(time)), True)
+    run = kernel.predict(recording, kernel.vector(structure, values), x, keep_states=True)
+    return run.reading, run.states
 

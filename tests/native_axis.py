@@ -77,8 +77,8 @@ def by_kernel(
     )  # fmt: skip
     p = kernel.vector(model.structure, dict(model.values))
     x = kernel.start_state(position, velocity, 0.0)
-    read, states = kernel.predict(drive, p, x, kernel.free_gains(count), keep_states=True)
-    return np.column_stack([read if c is None else states[:, c] for c in COLUMNS])
+    run = kernel.predict(drive, p, x, keep_states=True)
+    return np.column_stack([run.reading if c is None else run.states[:, c] for c in COLUMNS])
 
 
 def abuse(folder: Path, fmi: int) -> subprocess.CompletedProcess[str]:

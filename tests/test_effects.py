@@ -315,9 +315,9 @@ def test_derivative_is_that_of_the_computed_trajectory(effect):
     names = tuple(dict.fromkeys([*(p.name for p in effect.parameters), "viscous_friction"]))
     recording = drive(0.002 * np.arange(count), command, 0.0021)
     vector, start = kernel.vector(structure, values), kernel.start_state(0.0, 0.0, 0.0)
-    gains = kernel.free_gains(count)
-    predicted, slopes = kernel.predict_with_slopes(recording, vector, start, np.zeros((7, len(names))), names, gains)
-    assert np.allclose(predicted, kernel.predict(recording, vector, start, gains)[0], rtol=0.0, atol=1e-13)
+    found = kernel.predict_with_slopes(recording, vector, start, np.zeros((7, len(names))), names)
+    slopes = found.slopes
+    assert np.allclose(found.reading, kernel.predict(recording, vector, start).reading, rtol=0.0, atol=1e-13)
     exact = {n: mpmath.mpf(v) for n, v in values.items()}
     for j, name in enumerate(names):
         tiny = mpmath.mpf(10) ** -14 * max(abs(exact[name]), mpmath.mpf("0.01"))
@@ -337,8 +337,7 @@ def test_derivative_with_respect_to_the_start():
     start = kernel.start_state(0.2, 0.4, 0.5 * values["backlash_gap"])
     slope = np.zeros((7, 2))
     slope[0, 0] = slope[1, 1] = slope[3, 1] = 1.0
-    gains = kernel.free_gains(200)
-    _, slopes = kernel.predict_with_slopes(recording, vector, start, slope, ("start_a", "start_b"), gains)
+    slopes = kernel.predict_with_slopes(recording, vector, start, slope, ("start_a", "start_b")).slopes
     for j in range(2):
-        up, down = (kernel.predict(recording, vector, start + s * 1e-6 * slope[:, j], gains)[0] for s in (1, -1))
+        up, down = (kernel.predict(recording, vector, start + s * 1e-6 * slope[:, j]).reading for s in (1, -1))
         assert np.allclose((up - down) / 2e-6, slopes[:, j], rtol=0.0, atol=1e-5)

@@ -50,9 +50,7 @@ def played(
     drive = replace(
         likelihood.prepare(blank, structure).drive, command=command + np.where(command != 0.0, shaking, 0.0)
     )
-    output, _ = kernel.predict(
-        drive, kernel.vector(structure, values), kernel.start_state(0.0, 0.0, 0.0), kernel.free_gains(len(time))
-    )
+    output = kernel.predict(drive, kernel.vector(structure, values), kernel.start_state(0.0, 0.0, 0.0)).reading
     return replace(blank, output=np.round(output / COUNT) * COUNT)
 
 

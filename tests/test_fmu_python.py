@@ -162,7 +162,7 @@ def test_replay_equals_the_kernel_at_uneven_stamps_and_any_delay(made, tmp_path)
         time, u, recording.output, False, kernel.known_vector(model.known), np.zeros(5), model.longest_step
     )
     p = kernel.vector(model.structure, dict(model.values))
-    truth, _ = kernel.predict(drive_, p, kernel.start_state(0.3, 0.0, 0.0), kernel.free_gains(len(time)))
+    truth = kernel.predict(drive_, p, kernel.start_state(0.3, 0.0, 0.0)).reading
     assert apart(seen.position_measured[:, None], truth[:, None]) < 1e-9
     assert np.array_equal(seen.time, time)
 
@@ -177,7 +177,7 @@ def test_a_full_line_of_commands_keeps_their_mean(made):
         time, u, np.full(len(u), np.nan), False, kernel.known_vector(model.known), np.zeros(5), model.longest_step
     )
     p = kernel.vector(model.structure, dict(model.values))
-    truth, _ = kernel.predict(drive_, p, kernel.start_state(0.0, 0.0, 0.0), kernel.free_gains(len(u)))
+    truth = kernel.predict(drive_, p, kernel.start_state(0.0, 0.0, 0.0)).reading
     with running(open_fmu(made["rigid"]), ["duty"], ["position_measured"]) as instance:
         instance.start({"delay": 0.2})
         seen = np.array([list(instance.step(t, PERIOD / fine, [c])) for t, c in zip(time[:-1], u[:-1], strict=True)])
@@ -203,7 +203,7 @@ def test_parameters_act_between_steps_and_before_the_start(made):
         second.longest_step,
     )  # fmt: skip
     p = kernel.vector(SIMPLE, dict(second.values))
-    after, _ = kernel.predict(rest, p, x, kernel.free_gains(600))
+    after = kernel.predict(rest, p, x).reading
     with running(open_fmu(made["simple"]), ["duty"], ["position_measured"]) as instance:
         instance.start({"gravity_gain": 3.0, "position_start": 0.1})
         before = drive(instance, u[:601])[:, 0]

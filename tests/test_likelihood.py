@@ -1,4 +1,4 @@
-"""Steps of the search within bounds, the noise of landings, and standard errors where the model errs."""
+"""Steps of the search within bounds, and standard errors where the model errs."""
 
 from __future__ import annotations
 
@@ -50,20 +50,15 @@ def test_a_step_is_the_best_one_within_the_bounds(seed: int) -> None:
     assert gain(step) > 0.95 * gain(best) > 0.0
 
 
-def made(correlated: float = 0.0, shaken: float = 0.0, duration: float = 30.0, seed: int = 1) -> Case:
-    """A square wave of several heights on the base model, read in counts; `correlated` counts of slow error.
-
-    `shaken` is the noise of the duty, unknown to the reader, while the motor crosses the gap.
-    """
+def made(correlated: float = 0.0, duration: float = 30.0, seed: int = 1) -> Case:
+    """A square wave of several heights on the base model, read in counts; `correlated` counts of slow error."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(duration / 0.002)) * 0.002
     duty = np.repeat(rng.uniform(15.0, 60.0, len(time) // 250) * (-1.0) ** np.arange(len(time) // 250), 250)
-    since = time % 0.5
-    unknown = np.where(since < 0.05, shaken * np.repeat(rng.standard_normal(len(time) // 25), 25), 0.0)
     blank = Recording("made", time, duty, np.zeros(len(time)), "%", "rad", COUNT)
-    case = likelihood.prepare(replace(blank, input=duty + unknown), STRUCTURE)
+    case = likelihood.prepare(blank, STRUCTURE)
     x = kernel.start_state(0.0, 0.0, 0.0)
-    position, _ = kernel.predict(case.drive, kernel.vector(STRUCTURE, VALUES), x, kernel.free_gains(len(time)))
+    position = kernel.predict(case.drive, kernel.vector(STRUCTURE, VALUES), x).reading
     slow = np.convolve(rng.standard_normal(len(time) + 99), np.full(100, 0.1), "valid")
     read = position + COUNT * (rng.uniform(-0.5, 0.5, len(time)) + correlated * slow)
     return likelihood.prepare(replace(blank, output=read), STRUCTURE)
@@ -76,26 +71,6 @@ def test_errors_that_hang_together_widen_the_standard_errors(correlated: float, 
     point = likelihood.climb([case], STRUCTURE, VALUES, density, FREE)
     wider = np.sqrt(np.diag(likelihood.robust_covariance([case], point)) / np.diag(point.covariance))
     assert least <= float(np.median(wider)) < most
-
-
-def test_landings_are_where_the_gap_closes() -> None:
-    case = made()
-    noise = likelihood.landings(case, STRUCTURE, VALUES, 1.0)
-    turned = case.drive.time[np.flatnonzero(np.diff(np.sign(case.drive.command)))]
-    since = case.drive.time - turned[np.maximum(np.searchsorted(turned, case.drive.time, "right") - 1, 0)]
-    assert noise.max() > 0.0
-    assert noise[since > 0.3].max() == 0.0
-    steady = replace(case, drive=replace(case.drive, command=np.full(len(case.drive.time), 40.0)), contact=1.0)
-    assert likelihood.landings(steady, STRUCTURE, VALUES, 0.0).max() == 0.0
-
-
-@pytest.mark.parametrize(("shaken", "loud"), [(0.0, False), (20.0, True)])
-def test_landings_are_as_uncertain_as_the_recording_says(shaken: float, loud: bool) -> None:
-    case = made(shaken=shaken)
-    point = likelihood.evaluate([case], STRUCTURE, VALUES, likelihood.density_of(case, 0.2))
-    share, _, told = identify.loudness([case], point)
-    assert (share > 0.0) == loud
-    assert (told[0].knocks is not None) == loud
 
 
 def test_values_so_wild_that_the_model_overflows_are_refused_without_a_word() -> None:

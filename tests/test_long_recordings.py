@@ -40,14 +40,15 @@ def test_slopes_in_pieces_are_those_of_the_whole(most: int, closed: bool) -> Non
     recording = replace(made(), loop=loop, optional={"reference": np.sin(np.arange(6000) / 500.0)})
     case = likelihood.prepare(recording, STRUCTURE, closed=closed)
     p = kernel.vector(STRUCTURE, VALUES)
-    gains, _ = likelihood.gains_for(case, 2.0, likelihood.density_of(case, 0.1))
-    given = (case.drive, p, kernel.start_state(*case.start, 0.0), np.zeros((7, len(FREE))), FREE, gains)
-    predicted, slopes = kernel.predict_with_slopes(*given)
+    noise = likelihood.noise_for(case, likelihood.density_of(case, 0.1))
+    given = (case.drive, p, kernel.start_state(*case.start, 0.0), np.zeros((7, len(FREE))), FREE, noise)
+    whole = kernel.predict_with_slopes(*given)
     parts = list(kernel.in_pieces(*given, most))
-    assert [at.start for at, _, _ in parts] == list(range(0, 6000, most))
-    assert np.array_equal(np.concatenate([one for _, one, _ in parts]), predicted)
-    assert np.array_equal(np.concatenate([one for _, _, one in parts]), slopes)
-    assert np.ptp(slopes) > 0.0
+    assert [at.start for at, _ in parts] == list(range(0, 6000, most))
+    assert np.array_equal(np.concatenate([one.reading for _, one in parts]), whole.reading)
+    assert np.array_equal(np.concatenate([one.spread for _, one in parts]), whole.spread)
+    assert np.array_equal(np.concatenate([one.slopes for _, one in parts]), whole.slopes)
+    assert np.ptp(whole.slopes) > 0.0 and np.ptp(whole.spread) > 0.0
 
 
 @pytest.mark.parametrize("ahead", [False, True])

@@ -97,9 +97,9 @@ def test_the_floor_of_a_changed_friction_is_what_an_exact_model_errs() -> None:
                           optional={"reference": reference})  # fmt: skip
         case = likelihood.prepare(asked, structure, closed=True)
         p = kernel.vector(structure, {**truth, "coulomb_friction": friction})
-        place, states = kernel.predict(case.drive, p, kernel.start_state(0.1, 0.0, 0.0), kernel.free_gains(12000), True)
-        wish = loop.kv * (loop.kp * (reference - place) - states[:, 1])
-        return replace(asked, input=wish, output=place)
+        run = kernel.predict(case.drive, p, kernel.start_state(0.1, 0.0, 0.0), keep_states=True)
+        wish = loop.kv * (loop.kp * (reference - run.reading) - run.states[:, 1])
+        return replace(asked, input=wish, output=run.reading)
 
     both = [made("train", 0.2), made("holdout", 0.21)]
     said = real_recordings._emps_floor(both, model)

@@ -365,8 +365,8 @@ def _free_run(bench: _Bench, point: Point, time: FloatArray, command: FloatArray
     case = _case(bench, time, command, blank, point.structure)
     p = kernel.vector(point.structure, point.values)
     x = kernel.start_state(bench.start, 0.0, 0.0)
-    output, states = kernel.predict(case.drive, p, x, kernel.free_gains(len(time)), keep_states=True)
-    return _case(bench, time, command, output, point.structure), states
+    run = kernel.predict(case.drive, p, x, keep_states=True)
+    return _case(bench, time, command, run.reading, point.structure), run.states
 
 
 def _louder(bench: _Bench, point: Point, case: Case, checks: NDArray[np.int_]) -> FloatArray:
@@ -380,8 +380,7 @@ def _louder(bench: _Bench, point: Point, case: Case, checks: NDArray[np.int_]) -
         # A drive inside its dead-band passes no noise on; one that stands still needs none.
         noise = np.where(drive.command != 0.0, shake * rng.standard_normal(len(drive.time)), 0.0)
         x = kernel.start_state(bench.start, 0.0, 0.5 * side * point.values.get("backlash_gap", 0.0))
-        free = kernel.free_gains(len(drive.time))
-        output, _ = kernel.predict(replace(drive, command=drive.command + noise), p, x, free)
+        output = kernel.predict(replace(drive, command=drive.command + noise), p, x).reading
         read = output + math.sqrt(variance) * rng.standard_normal(len(output))
         noisy = replace(case, drive=replace(drive, measured=read))
         run = likelihood.innovations(noisy, point.structure, point.values, point.density)

@@ -59,10 +59,9 @@ def compile_kernel(tell: Progress) -> None:
     )
     everything = identify.base_structure()
     p = kernel.vector(everything, {q.name: q.start for q in everything.parameters})
-    gains, _ = kernel.kalman(drive, 1.0, np.ones(count), (1.0, 1.0))
     start = kernel.start_state(0.0, 0.0, 0.0)
-    kernel.predict_with_slopes(drive, p, start, np.zeros((len(start), 1)), ("input_gain",), gains)
-    kernel.predict(drive, p, start, gains)
+    kernel.predict_with_slopes(drive, p, start, np.zeros((len(start), 1)), ("input_gain",))
+    kernel.predict(drive, p, start)
 
 
 def with_largest_command(found: Model, recordings: Sequence[Recording]) -> Model:

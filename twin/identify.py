@@ -37,6 +37,10 @@ _GRID = {
     "friction_share": (0.4, 0.8),
 }
 _TEETH = {"tooth_frequency": (60.0, 90.0, 130.0, 190.0), "tooth_damping": (0.12, 0.2, 0.35, 0.5)}
+#: Looked through rigid teeth the motor seemed so much too heavy or too light.
+_LIGHTER = (0.7, 1.0, 1.4)
+#: Noise densities at which teeth are looked for, over that of the coarse point.
+_FORGETFUL = (1.0, 30.0, 1e3, 3e4)
 
 
 def free_parameters(structure: Structure) -> tuple[str, ...]:
@@ -125,6 +129,28 @@ def start(recordings: Sequence[Recording], structure: Structure, held: Mapping[s
     return _choose_contacts(cases, rigid, point.values), point
 
 
+def _doors(
+    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], density: float, free: tuple[str, ...]
+) -> list[Point]:
+    """Into the likeliest valleys of the teeth: one for each of several noise densities, a few steps in, best first.
+
+    A light motor bounces in its gap, and whatever moves a bounce makes a valley. A filter that forgets fast has lost
+    the bounces and sees the wide valleys of how hard the first landing is; one that remembers sees them all.
+    """
+    grid: dict[str, tuple[float, ...]] = dict(_TEETH)
+    if "motor_share" in free:
+        low, high = likelihood.bounds_of("motor_share")
+        grid["motor_share"] = tuple(min(max(f * values["motor_share"], low), high) for f in _LIGHTER)
+    densities = [min(density * f, likelihood.densest(cases)) for f in _FORGETFUL]
+    begun = [(_scan(cases, structure, values, d, grid, keep=1)[0], d) for d in densities]
+
+    def enter(door: tuple[dict[str, float], float]) -> Point:
+        return likelihood.climb(cases, structure, *door, free, rounds=4, tolerance=1.0)
+
+    with ThreadPoolExecutor(2) as pool:
+        return sorted(pool.map(enter, begun), key=lambda p: p.deviance)
+
+
 def refine(cases: Sequence[Case], structure: Structure, coarse_point: Point, held: Mapping[str, float]) -> Point:
     """The maximum of the full likelihood from a coarse point, teeth included where the structure has them."""
     values = {p.name: coarse_point.values.get(p.name, p.start) for p in structure.parameters}
@@ -132,21 +158,10 @@ def refine(cases: Sequence[Case], structure: Structure, coarse_point: Point, hel
     free = tuple(n for n in free_parameters(structure) if n not in held)
     if "tooth_compliance" not in structure:
         return likelihood.fit(mine, structure, values, free, coarse_point.density)
-    # The teeth's frequency has many valleys: several starts, and the best after a few steps goes on.
-    begun = _scan(mine, structure, values, coarse_point.density, _TEETH, keep=2)
-    density = coarse_point.density
+    doors = _doors(mine, structure, values, coarse_point.density, free)[:2]
     with ThreadPoolExecutor(2) as pool:
-        tried = pool.map(lambda v: likelihood.climb(mine, structure, v, density, free, rounds=4, tolerance=1.0), begun)
-        best = min(tried, key=lambda p: p.deviance)
-    point = likelihood.fit(mine, structure, best.values, free, density)
-    if likelihood.astray(mine, point):
-        return point
-    # The first look was through a wrong gap: look again.
-    for again in _scan(mine, structure, point.values, point.density, _TEETH, keep=1):
-        other = likelihood.climb(mine, structure, again, point.density, free, rounds=4, tolerance=1.0)
-        if other.deviance < point.deviance - point.unit:
-            point = likelihood.fit(mine, structure, other.values, free, point.density)
-    return point
+        fits = pool.map(lambda p: likelihood.fit(mine, structure, p.values, free, p.density), doors)
+        return min(fits, key=lambda p: p.deviance)
 
 
 #: Bounded and kinked parameters, whose likelihood is no parabola.
@@ -225,45 +240,6 @@ def polish(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:
             break
         point = likelihood.fit(mine, point.structure, other.values, point.free, point.density)
     return mine, point
-
-
-#: How much of the link's change of speed at a landing may be uncertain.
-_UNCERTAIN = (0.0, 0.03, 0.1, 0.3, 1.0)
-
-
-def listen(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:
-    """Let the filter know how uncertain landings in the gap are, where the recording says that they are.
-
-    Elsewhere the noise is then as weak as it is, and the readings in mesh say all that they know.
-    """
-    free = {"backlash_gap", "motor_share"} <= set(point.free)
-    if "backlash" not in point.structure or not free or likelihood.astray(cases, point):
-        return list(cases), point
-    for _ in range(2):
-        plain = with_steps([replace(c, knocks=None) for c in cases], point.structure)
-        share, density, cases = loudness(plain, point)
-        if share == 0.0:
-            break
-        density = likelihood.best_density(cases, point.structure, point.values, around=density)
-        point = likelihood.climb(cases, point.structure, point.values, density, point.free, rounds=12)
-    return list(cases), point
-
-
-def loudness(cases: Sequence[Case], point: Point) -> tuple[float, float, list[Case]]:
-    """How much of a jump is uncertain, with about the noise density that goes with it, and the cases that know it."""
-    loud = [likelihood.landings(c, point.structure, point.values, point.density) for c in cases]
-
-    def told(share: float) -> list[Case]:
-        return [replace(c, knocks=share**2 * k if share else None) for c, k in zip(cases, loud, strict=True)]
-
-    def deviance(trial: tuple[float, float]) -> float:
-        share, density = trial
-        return likelihood.evaluate(told(share), point.structure, point.values, density).deviance
-
-    trials = list(itertools.product(_UNCERTAIN, (point.density, 0.25 * point.density)))
-    with ThreadPoolExecutor(2) as pool:
-        share, density = trials[int(np.argmin(list(pool.map(deviance, trials))))]
-    return share, density, told(share)
 
 
 def base_structure() -> Structure:
@@ -404,8 +380,6 @@ def identify(
     cases, point = start(train, structure, held)
     tell("the full likelihood", 0.3)
     point = refine(cases, with_teeth(structure), point, held)
-    tell("landings in the gap", 0.65)
-    cases, point = listen(cases, point)
     tell("leaving local valleys", 0.75)
     cases, point = polish(cases, point)
     model = to_model(cases, point, train, held)

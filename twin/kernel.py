@@ -35,7 +35,7 @@ from twin.writers import drivers, tangent
 from twin.writers.python import Numbering, module, numbering, resolve
 
 FloatArray = NDArray[np.float64]
-_LOOPS = (drivers.predict, drivers.predict_t, drivers.riccati)
+_LOOPS = (drivers.believing, drivers.spreading, drivers.correcting, drivers.predict, drivers.predict_t)
 
 _HEAD = """import numpy as np
 from math import cos, exp, sin, sqrt, tanh
@@ -172,21 +172,44 @@ def start_state(position: float, velocity: float, gap: float) -> FloatArray:
     return x
 
 
-def free_gains(count: int) -> FloatArray:
-    return np.zeros((count, 2))
+@dataclass(frozen=True)
+class Noise:
+    """What a filter believes, in units of the variance of a reading."""
+
+    density: float  # of the torque noise: 1/s^3 (positions) or 1/s (speeds)
+    position: float = 1.0  # variance at the start
+    velocity: float = 1.0
+
+    @property
+    def vector(self) -> FloatArray:
+        return np.array([self.density, self.position, self.velocity])
 
 
-def predict(
-    drive: Drive, p: FloatArray, x: FloatArray, gains: FloatArray, keep_states: bool = False
-) -> tuple[FloatArray, FloatArray]:
-    """What the sensor should read (N,), and the states (N, 7) or (0, 7). `x` (7,) is left as it was."""
-    predicted = np.empty(len(drive.time))
-    states = np.empty((len(drive.time) if keep_states else 0, len(STATES)))
+#: No noise: a free run from the initial state.
+FREE = Noise(0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """One recording through the model; what was not asked for has no rows."""
+
+    reading: FloatArray  # (N,) what the sensor should read
+    spread: FloatArray  # (N,) variance to expect of an innovation, in units of the reading's
+    pull: FloatArray  # (N,) velocity (1/s) of the mass centre that a unit of innovation adds
+    states: FloatArray  # (N, 7)
+    slopes: FloatArray  # (N, n) of the reading
+
+
+def predict(drive: Drive, p: FloatArray, x: FloatArray, noise: Noise = FREE, keep_states: bool = False) -> Prediction:
+    """Run a recording through the model from the state `x` (7,), which is left as it was."""
+    count = len(drive.time)
+    kept = count if keep_states else 0
+    predicted, spread, pull, states = np.empty(count), np.empty(count), np.zeros(kept), np.empty((kept, len(STATES)))
     _serving(p).predict(
-        drive.time, drive.command.copy() if drive.closed else drive.command, drive.measured, gains, drive.speed,
-        drive.closed, drive.law, x.copy(), p, drive.known, drive.longest, predicted, states,
+        drive.time, drive.command.copy() if drive.closed else drive.command, drive.measured, noise.vector, drive.speed,
+        drive.closed, drive.law, x.copy(), p, drive.known, drive.longest, predicted, spread, pull, states,
     )  # fmt: skip
-    return predicted, states
+    return Prediction(predicted, spread, pull, states, np.zeros((count, 0)))
 
 
 def _aligned(*shape: int) -> FloatArray:
@@ -198,12 +221,11 @@ def _aligned(*shape: int) -> FloatArray:
 
 
 def in_pieces(
-    drive: Drive, p: FloatArray, x: FloatArray, slope: FloatArray, names: tuple[str, ...], gains: FloatArray, most: int
-) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+    drive: Drive, p: FloatArray, x: FloatArray, slope: FloatArray, names: tuple[str, ...], noise: Noise, most: int
+) -> Iterator[tuple[slice, Prediction]]:
     """As `predict`, with the derivative with respect to the named parameters, at most so many stamps at a time.
 
-    `slope` (7, n) is the derivative of the initial state. Yields the stamps, what the sensor should read there (m,)
-    and the derivative (m, n).
+    `slope` (7, n) is the derivative of the initial state. Yields the stamps and what holds there.
     """
     n, count = len(names), len(drive.time)
     blocks = max(-(-n // WIDTH), 1)
@@ -217,19 +239,21 @@ def in_pieces(
             if name in INDEX:
                 seed[INDEX[name], j] = 1.0
         command = drive.command.copy() if drive.closed else drive.command
-        carried.append((x.copy(), start, seed, command, _aligned(count if drive.closed else 1, WIDTH)))
+        carried.append((x.copy(), start, seed, np.empty(10), command, _aligned(count if drive.closed else 1, WIDTH)))
     serving = _serving(p)
     for begin in range(0, count, most):
         room = min(most, count - begin)
-        predicted, slopes = np.empty((blocks, room)), _aligned(room, blocks, WIDTH)
+        # Every block fills the same numbers in; of its own it has the slopes.
+        predicted, slopes = np.empty((blocks, 2, room)), _aligned(room, blocks, WIDTH)
 
         def run(
             block: int, begin: int = begin, predicted: FloatArray = predicted, slopes: FloatArray = slopes
         ) -> None:
-            state, d_state, seed, command, d_command = carried[block]
+            state, d_state, seed, covariance, command, d_command = carried[block]
             serving.predict_t(
-                drive.time, command, drive.measured, gains, drive.speed, drive.closed, drive.law, state, d_state, p,
-                seed, drive.known, drive.longest, begin, predicted[block], slopes, block, d_command,
+                drive.time, command, drive.measured, noise.vector, drive.speed, drive.closed, drive.law, state,
+                d_state, p, seed, drive.known, drive.longest, begin, covariance, predicted[block, 0],
+                predicted[block, 1], slopes, block, d_command,
             )  # fmt: skip
 
         if blocks == 1:
@@ -237,26 +261,17 @@ def in_pieces(
         else:
             with ThreadPoolExecutor(2) as pool:
                 list(pool.map(run, range(blocks)))
-        yield slice(begin, begin + room), predicted[0], slopes.reshape(room, -1)[:, :n]
+        reading, spread = predicted[0]
+        none = np.zeros(0)
+        found = Prediction(reading, spread, none, np.zeros((0, len(STATES))), slopes.reshape(room, -1)[:, :n])
+        yield slice(begin, begin + room), found
 
 
 def predict_with_slopes(
-    drive: Drive, p: FloatArray, x: FloatArray, slope: FloatArray, names: tuple[str, ...], gains: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """All of `in_pieces` at once: (N,) and (N, n)."""
-    _, predicted, slopes = next(in_pieces(drive, p, x, slope, names, gains, len(drive.time)))
-    return predicted, slopes
-
-
-def kalman(
-    drive: Drive, damping: float, density: FloatArray, start: tuple[float, float]
-) -> tuple[FloatArray, FloatArray]:
-    """Gains (N, 2) and innovation variances (N,), in units of the reading's variance."""
-    gains, spread = np.empty((len(drive.time), 2)), np.empty(len(drive.time))
-    compiled().riccati(
-        drive.time, drive.measured, damping, density, drive.speed, np.array(start), gains, spread
-    )
-    return gains, spread
+    drive: Drive, p: FloatArray, x: FloatArray, slope: FloatArray, names: tuple[str, ...], noise: Noise = FREE
+) -> Prediction:
+    """All of `in_pieces` at once."""
+    return next(in_pieces(drive, p, x, slope, names, noise, len(drive.time)))[1]
 
 
 def known_vector(known: Mapping[str, float]) -> FloatArray:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from twin import kernel
 from twin.axis import EVERYTHING, STATES, Structure
-from twin.kernel import INDEX, Drive
+from twin.kernel import INDEX, Drive, Noise
 from twin.loop import own_loop
 from twin.recording import Recording, command_of, known_quantities
 
@@ -35,7 +35,7 @@ ROBUST_LIMIT = 4.0
 #: The filter weighs at least so many readings. A torque noise so dense that it forgets faster is no noise: neighbouring
 #: readings share their rounding and the jitter of their stamps, and being many they would decide what the slow part of
 #: the misfit, in which the physics shows, has to say.
-LEAST_READINGS = 5.0
+LEAST_READINGS = 2.0
 #: Stamps whose slopes are held at once: an hour at 2 ms has eighteen times as many.
 AT_ONCE = 100_000
 #: A unit of deviance worth so little says that the model errs.
@@ -60,7 +60,6 @@ class Case:
     contact: float  # where in the gap the motor starts: -1, 0 or 1
     start: tuple[float, float]  # position and velocity
     free: NDArray[np.bool_] | None = None  # (N,) where the model runs freely and only that is judged; None: nowhere
-    knocks: FloatArray | None = None  # (N,) what landings in the gap add to the noise density before each stamp
 
     @property
     def count(self) -> int:
@@ -199,51 +198,15 @@ def ahead(case: Case, density: float, horizon: float) -> Case:
     return replace(case, free=np.asarray(case.drive.time % (lead + horizon) >= lead))
 
 
-def gains_for(case: Case, damping: float, density: float) -> tuple[FloatArray, FloatArray]:
-    """Kalman gains and innovation variances in units of the reading's; a density of zero is a free run.
-
-    A free run starts from the first reading as it is.
-    """
+def noise_for(case: Case, density: float) -> Noise:
+    """The filter's beliefs about a case; a density of zero is a free run, from the first reading as it is."""
     if density == 0.0:
-        return kernel.free_gains(len(case.drive.time)), np.ones(len(case.drive.time))
+        return kernel.FREE
     y = case.recording.output
     spread = float(np.nanmax(y) - np.nanmin(y))
     duration = max(float(case.drive.time[-1]), 1e-9)
     velocity = (spread if case.drive.speed else max(spread / duration, 1e-3 * spread)) ** 2
-    first = (1.0, 1.0) if case.drive.speed else (1.0, velocity / case.reading_variance)
-    noise = np.full(len(case.drive.time), density)
-    loud = noise if case.knocks is None else noise + case.knocks
-    gains, expected = kernel.kalman(case.drive, damping, loud, first)
-    if case.free is None:
-        return gains, expected
-    # What drifts away in a free run is no reading's noise: the errors of all recordings are weighed alike.
-    gains[case.free] = 0.0
-    return gains, np.full(len(expected), 1.0 / case.reading_variance)
-
-
-#: A landing shows from so long before the model's to so long after it, s.
-_KNOCK = (0.01, 0.02)
-
-
-def landings(case: Case, structure: Structure, values: Mapping[str, float], density: float) -> FloatArray:
-    """The noise density (N,) that would leave the link's speed after every landing in the gap wholly open.
-
-    Noise that is too weak to be seen while the gears are in mesh moves the light motor alone in the gap, and from
-    bounce to bounce it grows: what a landing does to the link, and when, is less certain than anything else.
-    """
-    p = kernel.vector(structure, dict(values))
-    gains, _ = gains_for(case, values.get("viscous_friction", 0.0), density)
-    _, states = kernel.predict(case.drive, p, _start(case, p, ())[0], gains, keep_states=True)
-    apart = np.abs(states[:, 2]) < 0.5 * values["backlash_gap"] * (1.0 - 1e-9)
-    last = np.flatnonzero(apart[:-1] & ~apart[1:])
-    jump = values["motor_share"] * (states[last, 3] - states[last, 1])
-    # Where motor and link meet gently the moment is open, whatever the jump.
-    usual = float(np.median(jump**2)) if len(jump) else 0.0
-    step = step_of(case)
-    before, after = (max(round(t / step), 1) for t in _KNOCK)
-    added = np.zeros(len(apart) + before + after)
-    np.add.at(added, last + 1, (jump**2 + usual) / (case.reading_variance * (before + after) * step))
-    return np.convolve(added, np.ones(before + after))[before : before + len(apart)]
+    return Noise(density, 1.0, 1.0 if case.drive.speed else velocity / case.reading_variance)
 
 
 def _loss(z2: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -270,15 +233,22 @@ def pieces(
     p = kernel.vector(structure, dict(values))
     # Where an edge of the command falls on a stamp the delay has a kink: it is looked at from just behind.
     p[INDEX["delay"]] += _BEHIND
-    gains, spread = gains_for(case, values.get("viscous_friction", 0.0), density)
+    noise = noise_for(case, density)
     x, slope = _start(case, p, free)
-    measured = case.drive.measured if case.free is None else np.where(case.free, case.drive.measured, np.nan)
-    if not free:
-        predicted, _ = kernel.predict(case.drive, p, x, gains)
-        yield Innovations(measured - predicted, spread * case.reading_variance, np.zeros((len(predicted), 0)))
-        return
-    for at, predicted, slopes in kernel.in_pieces(case.drive, p, x, slope, free, gains, most):
-        yield Innovations(measured[at] - predicted, spread[at] * case.reading_variance, slopes)
+    drive = case.drive
+    if case.free is not None:
+        drive = replace(drive, measured=np.where(case.free, np.nan, drive.measured))
+    if free:
+        runs = kernel.in_pieces(drive, p, x, slope, free, noise, most)
+    else:
+        runs = iter([(slice(None), kernel.predict(drive, p, x, noise))])
+    for at, run in runs:
+        error, variance = case.drive.measured[at] - run.reading, run.spread * case.reading_variance
+        if case.free is not None:
+            # What drifts away in a free run is no reading's noise: the errors of all recordings are weighed alike.
+            error[~case.free[at]] = np.nan
+            variance = np.ones(len(error))
+        yield Innovations(error, variance, run.slopes)
 
 
 def innovations(
@@ -414,6 +384,11 @@ def solved(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.lstsq(a, b, rcond=1e-14)[0])
 
 
+def bounds_of(name: str) -> tuple[float, float]:
+    """Between what a parameter lies."""
+    return _BOUNDS[name]
+
+
 def within_bounds(values: Mapping[str, float]) -> bool:
     """Whether every parameter lies where it may."""
     return all(_BOUNDS[n][0] <= v <= _BOUNDS[n][1] for n, v in values.items())
@@ -522,7 +497,7 @@ def profile_interval(cases: Sequence[Case], point: Point, name: str, std: float)
     return ends[0], ends[1]
 
 
-def _densest(cases: Sequence[Case]) -> float:
+def densest(cases: Sequence[Case]) -> float:
     """The noise density at which the filter weighs the fewest readings that it may."""
     return min(density_of(c, LEAST_READINGS * step_of(c)) for c in cases)
 
@@ -532,7 +507,7 @@ def astray(cases: Sequence[Case], point: Point) -> bool:
 
     Such a likelihood is rough, and which of its many valleys is the deepest says little about the axis.
     """
-    return point.unit > ERRS and point.density > 0.7 * _densest(cases)
+    return point.unit > ERRS and point.density > 0.7 * densest(cases)
 
 
 def best_density(
@@ -542,7 +517,7 @@ def best_density(
 
     `around` a density that is known already it is looked for within a factor of three hundred.
     """
-    top = math.log10(_densest(cases))
+    top = math.log10(densest(cases))
 
     def looked(exponents: Sequence[float]) -> list[float]:
         with ThreadPoolExecutor(2) as pool:

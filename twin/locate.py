@@ -87,21 +87,21 @@ def missing_torque(case: Case, structure: Structure, values: Mapping[str, float]
     step = float(np.median(np.diff(case.drive.time)))
     memory = max(memory, 4.0 * step)
     p = kernel.vector(structure, dict(values))
-    gains, _ = likelihood.gains_for(case, values.get("viscous_friction", 0.0), likelihood.density_of(case, memory))
+    noise = likelihood.noise_for(case, likelihood.density_of(case, memory))
     x = kernel.start_state(*case.start, 0.5 * case.contact * values.get("backlash_gap", 0.0))
-    predicted, states = kernel.predict(case.drive, p, x, gains, keep_states=True)
-    error = case.drive.measured - predicted
+    run = kernel.predict(case.drive, p, x, noise, keep_states=True)
+    error = case.drive.measured - run.reading
     interval = np.diff(case.drive.time, append=case.drive.time[-1] + step)
-    raw = gains[:, 1] * error / interval
+    raw = run.pull * error / interval
     # A second-order filter at its optimum delays by the square root of two of its memory; a first-order one by it.
     late = round((1.0 if case.drive.speed else np.sqrt(2.0)) * memory / step)
     torque = _delayed(raw, late)
     torque[: int(5.0 * memory / step)] = np.nan
-    velocity = states[:, 1]
+    velocity = run.states[:, 1]
     return Missing(
         time=case.drive.time,
         torque=torque,
-        position=states[:, 0],
+        position=run.states[:, 0],
         velocity=velocity,
         acceleration=np.gradient(velocity, case.drive.time),
         command=case.recording.input,

@@ -4,7 +4,8 @@ Plain Python in the stepper's language plus arrays; `twin.kernel` compiles this 
 generated functions, whose names it uses freely.
 
 `predict` runs the model in innovation form. At each stamp it notes what the sensor should read, then moves the
-state towards what it did read by the gains of a Kalman filter; gains of zero give a free run. The command is
+state towards what it did read by the gains of a Kalman filter; without noise it is a free run. The filter knows
+whether motor and link touch: in the gap each is uncertain by itself, and nobody sees the motor. The command is
 held from stamp to stamp and acts `delay` later; pieces between edges are split so that none exceeds `longest`.
 `closed` simulates the rig's own loop: command = r * reference - y * output - v * velocity, raised to
 the smallest that the loop gives, clipped at the largest.
@@ -18,12 +19,93 @@ from __future__ import annotations
 import numpy as np
 
 
-def predict(time, command, measured, gains, speed, closed, law, x, p, k, longest, predicted, states):
-    """Fill `predicted` (N,) and, where it has rows, `states` (N, states); `command` is filled where closed."""
+def believing(noise, begin, c):
+    """The covariance at the first stamp, where link and motor are one, in units of a reading's variance.
+
+    `c` (10,) is that of the link's position and velocity (xx, xv, vv), of the motor's, and between them (xx, xv, vx,
+    vv); `noise` (3,) the density of the torque noise and the variances of position and velocity at the start.
+    """
+    if begin == 0:
+        c[:] = 0.0
+        c[0] = c[3] = c[6] = noise[1]
+        c[2] = c[5] = c[9] = noise[2]
+
+
+def spreading(c, h, damping, density, share, touching):
+    """Move the covariance by the time h. Link and motor, of 1 - share and share of the inertia, take half of the noise
+    each. Where they touch they are one: what is then known is what was known of their mass centre, which an impact
+    leaves alone, whenever it happened.
+    """
+    f = np.exp(-damping * h)
+    g = h
+    if damping * h > 1e-6:
+        g = (1.0 - f) / damping
+    if touching:
+        other = 1.0 - share
+        a = other * other * c[0] + 2.0 * other * share * c[6] + share * share * c[3]
+        b = other * other * c[1] + other * share * (c[7] + c[8]) + share * share * c[4]
+        v = other * other * c[2] + 2.0 * other * share * c[9] + share * share * c[5]
+        c[0] = c[3] = c[6] = a + 2.0 * g * b + g * g * v + density * h * h * h / 3.0
+        c[1] = c[4] = c[7] = c[8] = f * (b + g * v) + density * h * h / 2.0
+        c[2] = c[5] = c[9] = f * f * v + density * h
+        return
+    for i in range(2):
+        mass = share if i == 1 else 1.0 - share
+        noise = 0.5 * density / (mass * mass) * h
+        b = c[3 * i + 1]
+        v = c[3 * i + 2]
+        c[3 * i] += 2.0 * g * b + g * g * v + noise * h * h / 3.0
+        c[3 * i + 1] = f * (b + g * v) + noise * h / 2.0
+        c[3 * i + 2] = f * f * v + noise
+    c[6] += g * (c[7] + c[8]) + g * g * c[9]
+    c[7] = f * (c[7] + g * c[9])
+    c[8] = f * (c[8] + g * c[9])
+    c[9] = f * f * c[9]
+
+
+def correcting(c, speed, seen, gain):
+    """Fill `gain` (4,) for the link's and the motor's position and velocity; the variance of what the sensor, which is
+    the link's, will read. The covariance learns from it if it is `seen`.
+    """
+    first = 1 if speed else 0
+    gain[0] = c[first]
+    gain[1] = c[first + 1]
+    gain[2] = c[6 + 2 * first]
+    gain[3] = c[7 + 2 * first]
+    spread = gain[first] + 1.0
+    if seen:
+        for i in range(2):
+            c[3 * i] -= gain[2 * i] * gain[2 * i] / spread
+            c[3 * i + 1] -= gain[2 * i] * gain[2 * i + 1] / spread
+            c[3 * i + 2] -= gain[2 * i + 1] * gain[2 * i + 1] / spread
+        c[6] -= gain[0] * gain[2] / spread
+        c[7] -= gain[0] * gain[3] / spread
+        c[8] -= gain[1] * gain[2] / spread
+        c[9] -= gain[1] * gain[3] / spread
+    for i in range(4):
+        gain[i] = gain[i] / spread
+    return spread
+
+
+def predict(time, command, measured, noise, speed, closed, law, x, p, k, longest, predicted, spread, pull, states):
+    """Fill `predicted` and `spread` (N,) and, where they have rows, `pull` (N,) and `states` (N, states).
+
+    `spread` is the variance to expect of an innovation in units of the reading's, `pull` the velocity that a unit of
+    it adds to the mass centre. `command` is filled where the loop is closed; `noise` as in `believing`.
+    """
     count = len(time)
     x = numbers(x)
     p = numbers(p)
     k = numbers(k)
+    density = noise[0]
+    c = np.empty(10)
+    gain = np.empty(4)
+    believing(noise, 0, c)
+    half = 0.0
+    share = 0.5
+    if has.backlash:
+        half = 0.5 * p.backlash_gap
+        share = p.motor_share
     edge = 0
     delay = 0.0
     if has.input_delay:
@@ -44,10 +126,22 @@ def predict(time, command, measured, gains, speed, closed, law, x, p, k, longest
                 u = -law[4]
             command[i] = min(max(u, -law[3]), law[3])
         error = measured[i] - reading
-        if error == error:
-            x.position = x.position + gains[i, 0] * error
-            x.velocity = x.velocity + gains[i, 1] * error
-            x.motor_velocity = x.motor_velocity + gains[i, 1] * error
+        seen = error == error
+        spread[i] = 1.0
+        if density > 0.0:
+            if i > 0:
+                touching = abs(x.gap) >= half * (1.0 - 1e-9)
+                spreading(c, time[i] - time[i - 1], p.viscous_friction, density, share, touching)
+            spread[i] = correcting(c, speed, seen, gain)
+            if len(pull) > 0:
+                pull[i] = (1.0 - share) * gain[1] + share * gain[3]
+            if seen:
+                x.position = x.position + gain[0] * error
+                x.velocity = x.velocity + gain[1] * error
+                x.motor_velocity = x.motor_velocity + gain[3] * error
+                if abs(x.gap) < half:
+                    # A correction brings the motor to the flank at most, never into it.
+                    x.gap = min(max(x.gap + (gain[2] - gain[0]) * error, -half), half)
         if i == count - 1:
             break
         now = time[i]
@@ -78,13 +172,14 @@ def predict(time, command, measured, gains, speed, closed, law, x, p, k, longest
 
 
 def predict_t(
-    time, command, measured, gains, speed, closed, law, x, xd, p, pd, k, longest, begin, predicted, slopes, first,
-    commands,
+    time, command, measured, noise, speed, closed, law, x, xd, p, pd, k, longest, begin, c, predicted, spread, slopes,
+    first, commands,
 ):
     """As `predict` from stamp `begin` on for as many as `predicted` has room, with the derivative of what the sensor
-    should read in row `i * stride + first` of `slopes`. `x` and `xd` are left as they are for the next stamp.
+    should read in row `i * stride + first` of `slopes`. `x`, `xd` and `c` are left as they are for the next stamp.
 
-    `slopes` is (room, stride, 8), `commands` (N or 1, 8) holds the derivative of the loop's own command.
+    `slopes` is (room, stride, 8), `commands` (N or 1, 8) holds the derivative of the loop's own command. Gains are
+    followed as they are: that they themselves depend on the parameters is left out.
     """
     count = len(time)
     x = numbers(x)
@@ -92,6 +187,16 @@ def predict_t(
     k = numbers(k)
     xd = numbers(xd)
     pd = numbers(pd)
+    density = noise[0]
+    gain = np.empty(4)
+    believing(noise, begin, c)
+    half = 0.0
+    d_half = zero()
+    share = 0.5
+    if has.backlash:
+        half = 0.5 * p.backlash_gap
+        d_half = 0.5 * row(pd, index.backlash_gap)
+        share = p.motor_share
     edge = 0
     delay = 0.0
     rounding = 1e-6 * longest
@@ -119,13 +224,28 @@ def predict_t(
                 u = -law[4]
             command[i] = min(max(u, -law[3]), law[3])
         error = measured[i] - reading
-        if error == error:
-            x.position = x.position + gains[i, 0] * error
-            x.velocity = x.velocity + gains[i, 1] * error
-            x.motor_velocity = x.motor_velocity + gains[i, 1] * error
-            put(xd, 0, row(xd, 0) - gains[i, 0] * d_reading)
-            put(xd, 1, row(xd, 1) - gains[i, 1] * d_reading)
-            put(xd, 3, row(xd, 3) - gains[i, 1] * d_reading)
+        seen = error == error
+        spread[i - begin] = 1.0
+        if density > 0.0:
+            if i > 0:
+                touching = abs(x.gap) >= half * (1.0 - 1e-9)
+                spreading(c, time[i] - time[i - 1], p.viscous_friction, density, share, touching)
+            spread[i - begin] = correcting(c, speed, seen, gain)
+            if seen:
+                x.position = x.position + gain[0] * error
+                x.velocity = x.velocity + gain[1] * error
+                x.motor_velocity = x.motor_velocity + gain[3] * error
+                put(xd, 0, row(xd, 0) - gain[0] * d_reading)
+                put(xd, 1, row(xd, 1) - gain[1] * d_reading)
+                put(xd, 3, row(xd, 3) - gain[3] * d_reading)
+                if abs(x.gap) < half:
+                    moved = x.gap + (gain[2] - gain[0]) * error
+                    x.gap = min(max(moved, -half), half)
+                    put(xd, 2, row(xd, 2) - (gain[2] - gain[0]) * d_reading)
+                    if moved > half:
+                        put(xd, 2, d_half)
+                    if moved < -half:
+                        put(xd, 2, -1.0 * d_half)
         if i == count - 1:
             break
         now = time[i]
@@ -163,41 +283,4 @@ def predict_t(
                     step_t(acting, d_acting, span, d_span, x, xd, p, pd, k)
             now = until
             d_now = d_until
-    return 0.0
-
-
-def riccati(time, measured, damping, density, speed, start, gains, spread):
-    """Kalman gains (N, 2) and innovation variances (N,) of an axis with viscous damping and white torque noise.
-
-    Variances are in units of the reading's own variance; `density` (N,) is that of the torque noise before each stamp
-    in the same units; `start` holds the variances of position and velocity at the first stamp.
-    """
-    a = start[0]
-    b = 0.0
-    c = start[1]
-    for i in range(len(time)):
-        if i > 0:
-            h = time[i] - time[i - 1]
-            f = np.exp(-damping * h)
-            g = h
-            if damping * h > 1e-6:
-                g = (1.0 - f) / damping
-            a = a + 2.0 * g * b + g * g * c + density[i] * h * h * h / 3.0
-            b = f * (b + g * c) + density[i] * h * h / 2.0
-            c = f * f * c + density[i] * h
-        seen = c if speed else a
-        spread[i] = seen + 1.0
-        gains[i, 0] = 0.0
-        gains[i, 1] = 0.0
-        if measured[i] == measured[i]:
-            first = b if speed else a
-            second = c if speed else b
-            gains[i, 0] = first / spread[i]
-            gains[i, 1] = second / spread[i]
-            a -= gains[i, 0] * first
-            if speed:
-                b -= gains[i, 0] * second
-            else:
-                b -= gains[i, 1] * first
-            c -= gains[i, 1] * second
     return 0.0
