@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,18 +24,27 @@ def point(normal: np.ndarray, scatter: np.ndarray) -> Point:
 def test_readings_that_repeat_each_other_count_once(repeated):
     """Every reading given n times over: n times the information, n squared times the scatter of the slopes."""
     once = np.array([[4.0, 1.0, 0.0], [1.0, 2.0, 0.3], [0.0, 0.3, 5.0]])
-    found = compare.needed(point(repeated * once, repeated**2 * once))
-    assert found == pytest.approx(compare.LEAST * repeated)
+    found = compare.worth([point(once, once), point(repeated * once, repeated**2 * once)])
+    assert found == pytest.approx(repeated)
 
 
 def test_what_leaves_no_trace_has_no_say():
     seen = np.diag([4.0, 2.0, 0.0])
-    assert compare.needed(point(seen, 3.0 * seen)) == pytest.approx(3.0 * compare.LEAST)
+    assert compare.worth([point(seen, 3.0 * seen)]) == pytest.approx(3.0)
 
 
-def test_a_model_that_says_nothing_for_certain_needs_most():
-    nothing = np.full((3, 3), math.inf)
-    assert compare.needed(point(np.eye(3), nothing)) == compare.LEAST * compare.LARGEST_UNIT
+def test_a_model_that_says_nothing_for_certain_has_no_say() -> None:
+    nothing, once = np.full((3, 3), math.inf), np.eye(3)
+    with np.errstate(invalid="ignore"):
+        assert compare.worth([point(once, nothing), point(once, 2.0 * once)]) == pytest.approx(2.0)
+
+
+def test_a_parameter_too_many_earns_less_than_its_price() -> None:
+    """A structure with one useless parameter: twice the log-likelihood it gains has mean one."""
+    gains = np.random.default_rng(1).standard_normal(10000) ** 2
+    assert np.mean(gains > compare.PRICE) < 0.1
+    one, two = point(np.eye(3), np.eye(3)), replace(point(np.eye(3), np.eye(3)), deviance=-10.0 * compare.PRICE)
+    assert compare.criterion(two, 10.0) == pytest.approx(compare.criterion(one, 10.0) - compare.PRICE)
 
 
 def test_white_noise_is_white_and_coloured_noise_is_not():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from twin import identify, kernel, likelihood
+from twin import kernel, likelihood
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.likelihood import Case, Point

@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import manifests
 import real_recordings
 
-from twin import explain, extend, fitting, identify, kernel, likelihood, recording
+from twin import explain, extend, fitting, identify, kernel, likelihood, recording, screening
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES
 from twin.extend import Search
@@ -38,14 +38,14 @@ def made(unit: str, count: int, duration: float = 10.0, swing: float = 0.3) -> l
 
 
 def test_only_what_such_recordings_can_show_is_offered() -> None:
-    assert set(explain.offered(made("rad", 1, swing=5.0), CANDIDATES)) == set(CANDIDATES)
-    linear = explain.offered(made("m", 1), CANDIDATES)
+    assert set(screening.offered(made("rad", 1, swing=5.0), CANDIDATES)) == set(CANDIDATES)
+    linear = screening.offered(made("m", 1), CANDIDATES)
     assert "constant_offset" in linear and not {"gravity", "encoder_eccentricity"} & set(linear)
-    several = explain.offered(made("rad", 2, swing=5.0), CANDIDATES)
+    several = screening.offered(made("rad", 2, swing=5.0), CANDIDATES)
     assert "gravity" in several and not {"load_change", "periodic_disturbance"} & set(several)
-    short = explain.offered(made("rad", 1, swing=0.3), CANDIDATES)
+    short = screening.offered(made("rad", 1, swing=0.3), CANDIDATES)
     assert "gravity" in short and "encoder_eccentricity" not in short
-    speeds = explain.offered(made("rad/s", 2), CANDIDATES)
+    speeds = screening.offered(made("rad/s", 2), CANDIDATES)
     assert "drive_saturation" in speeds and not {"gravity", "spring", "torque_ripple"} & set(speeds)
 
 

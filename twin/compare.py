@@ -13,32 +13,30 @@ from twin.likelihood import Point
 
 FloatArray = NDArray[np.float64]
 
-#: Deviance that a parameter must earn. More than BIC's log(N): real rigs differ from every model a little, and the
-#: best of twenty candidates is not one candidate (calibrated on rigs with nothing missing, scripts/blind_trial.py).
-PRICE = 15.0
-#: Gain in the criterion, in units of what deviance is worth, below which nothing is said to be missing.
-LEAST = 60.0
-#: Deviance of a model that errs is worth this little at the least: beyond it is not the unit that grows but the mess.
-LARGEST_UNIT = 20.0
-#: Share of the deviance explained so far that a further effect must earn beside its price.
-FRACTION = 0.04
-#: Deviance that counts as one unit of log-odds times two: a model that errs a little makes likelihoods too sure.
-TEMPER = 20.0
+#: What a parameter must earn, in units of what deviance is worth (`Point.unit`): a parameter too many earns one.
+PRICE = 3.0
+#: Gain in the criterion, in the same units, below which nothing is said to be missing: real rigs differ from every
+#: model a little, and the best of twenty candidates is not one candidate (calibrated on rigs with nothing missing,
+#: scripts/blind_trial.py).
+LEAST = 40.0
+#: Units that count as one of log-odds times two: a model that errs a little makes likelihoods too sure.
+TEMPER = 3.0
 
 
-def criterion(point: Point) -> float:
-    """Deviance plus the price of the parameters."""
-    return point.deviance + PRICE * len(point.free)
+def worth(points: Sequence[Point]) -> float:
+    """What a unit of deviance is worth among rivals: to the one that errs most.
 
-
-def needed(point: Point) -> float:
-    """Gain in the criterion from which on an addition that ends in this point is more than the model's own errors.
-
-    Where innovations stay correlated, because the model errs or nobody sees the motor in its gap, each says again
-    what the one before it said, and deviance counts them all (`Point.unit`).
+    Where innovations stay correlated each says again what the one before it said, and deviance counts them all. A
+    difference of deviance over this unit is then what it would be for independent ones (composite likelihood; Varin
+    and Vidoni, Biometrika 92, 2005).
     """
-    unit = point.unit
-    return LEAST * (min(max(unit, 1.0), LARGEST_UNIT) if math.isfinite(unit) else LARGEST_UNIT)
+    units = [p.unit for p in points if math.isfinite(p.unit)]
+    return max([1.0, *units])
+
+
+def criterion(point: Point, unit: float) -> float:
+    """Deviance in units of what it is worth, plus the price of the parameters."""
+    return point.deviance / unit + PRICE * len(point.free)
 
 
 def weights(criteria: Sequence[float]) -> FloatArray:

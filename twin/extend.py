@@ -28,8 +28,6 @@ Progress = Callable[[str, float], None]
 TRAINING = 0.7
 #: More effects than this at once are not looked for.
 MOST = 4
-#: Coarse gain in deviance per reading that is worth a look at what comes after.
-LOOKAHEAD = 0.3
 _TIMED = ("load_change", "thermal_fade", "periodic_disturbance")
 
 
@@ -44,10 +42,10 @@ class Search:
     lesser: tuple[Point, ...] = ()
 
 
-def _worth(before: Point, after: Point, explained: float) -> bool:
+def _worth(before: Point, after: Point) -> bool:
     """Whether an addition earns its place."""
-    gain = compare.criterion(before) - compare.criterion(after)
-    return gain > compare.needed(after) + compare.FRACTION * explained
+    unit = compare.worth([before, after])
+    return compare.criterion(before, unit) - compare.criterion(after, unit) > compare.LEAST
 
 
 def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
@@ -64,13 +62,13 @@ def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
 def _fits(
     cases: Sequence[Case], point: Point, held: Mapping[str, float], structures: Sequence[Structure]
 ) -> list[Point]:
-    return [explain.fine_fit(cases, s, [point.values], held, point.density) for s in structures]
+    return [explain.settle(cases, s, point.values, held, point.density) for s in structures]
 
 
-def _fair(first: Point, point: Point, lesser: Sequence[Point]) -> Point:
+def _fair(point: Point, lesser: Sequence[Point]) -> Point:
     """The best of the lesser fits whose lack does not matter, or the point itself."""
-    fair = [q for q in lesser if not _worth(q, point, first.deviance - point.deviance)]
-    return min(fair, key=compare.criterion, default=point)
+    fair = [q for q in lesser if not _worth(q, point)]
+    return min(fair, key=lambda q: compare.criterion(q, compare.worth([point])), default=point)
 
 
 def _orphans(structure: Structure, effect: str) -> tuple[str, ...]:
@@ -91,75 +89,45 @@ def search(
     tell = progress or (lambda sentence, share: None)
     tell("fitting the first model", 0.0)
     cases, rough = identify.start(recordings, first, held)
-    fine = identify.refine(cases, identify.with_teeth(first), rough, held)
-    first_point = best = fine
+    cases, fine = identify.polish(cases, identify.refine(cases, identify.with_teeth(first), rough, held))
+    best = explain.settle(cases, first, fine.values, held, explain.judged(cases, fine))
+    smallest = best
     rounds: list[Round] = []
-    astray = False
     for n in range(MOST):
-        open_ = [c for c in candidates if c not in rough.structure]
+        open_ = [c for c in candidates if c not in best.structure]
         if not open_:
             break
         tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)
-        hypotheses = explain.coarse_round(cases, rough, open_)
-        if n > 0 and not astray and not explain.promising(cases, fine, hypotheses):
-            break
-        tell(f"round {n + 1}: fitting the best {explain.FINALISTS}", 0.15 + 0.2 * n)
-        this = explain.fine_round(cases, fine, hypotheses, held)
+        this = explain.compete(cases, best, rough, open_, held)
         rounds.append(this)
+        best, winner = this.before, this.rivals[0].point
         if n == 0:
-            first_point = best = this.before
-        elif not astray:
-            best = this.before
-        winner = this.rivals[0]
-        explained = first_point.deviance - winner.deviance
-        if explain.plausible(cases, winner.point) and _worth(best, winner.point, explained):
-            fine = _plainer(cases, best, first_point, this, winner, held)
-            rough, fine = _rough(cases, hypotheses, fine, held)
-            best, astray = fine, False
-        elif not astray and rough.deviance - hypotheses[0].deviance > LOOKAHEAD * sum(c.count for c in cases):
-            # Two effects can mask each other: neither alone lets the noise fall. The coarse fit sees past that.
-            rough, astray = hypotheses[0].point, True
-            fine = next(h.point for h in this.rivals if h.added == hypotheses[0].added)
-        else:
+            smallest = best
+        if not explain.plausible(cases, winner) or not _worth(best, winner):
             break
+        best = _plainer(cases, this, held)
+        rough = identify.coarse(cases, best.structure.without("tooth_compliance"), best.values, held)
     lesser: list[Point] = []
     while len(best.structure.named) > 1:
         lesser = _fits(cases, best, held, _smaller(best.structure, first))
-        less = _fair(first_point, best, lesser)
+        less = _fair(best, lesser)
         if less is best:
             break
         best = less
-    cases, best = identify.polish(cases, best)
-    return Search(first_point, best, tuple(rounds), tuple(cases), tuple(lesser))
+    return Search(smallest, best, tuple(rounds), tuple(cases), tuple(lesser))
 
 
-def _plainer(
-    cases: Sequence[Case], best: Point, first: Point, this: Round, winner: Hypothesis, held: Mapping[str, float]
-) -> Point:
+def _plainer(cases: Sequence[Case], this: Round, held: Mapping[str, float]) -> Point:
     """The winner, or what it brought along alone where that earns a place by itself.
 
     What a specialised friction adds to plain friction then competes with everything else that may be beside it.
     """
+    winner = this.rivals[0]
     kept = this.before.structure.with_(*EFFECTS[winner.added[0]].includes)
     if kept.named == this.before.structure.named:
         return winner.point
     plain = _fits(cases, winner.point, held, [kept])[0]
-    return plain if _worth(best, plain, first.deviance - winner.deviance) else winner.point
-
-
-def _rough(
-    cases: Sequence[Case], hypotheses: Sequence[Hypothesis], fine: Point, held: Mapping[str, float]
-) -> tuple[Point, Point]:
-    """A coarse point of the fine one's structure to go on from, and the fine one, better where that found better."""
-    rigid = fine.structure.without("tooth_compliance")
-    again = identify.coarse(cases, rigid, fine.values, held)
-    named = [h.point for h in hypotheses if h.point.structure == rigid]
-    rough = min((again, *named), key=lambda p: p.deviance)
-    if rough is again:
-        retried = explain.fine_fit(cases, rigid, [{**fine.values, **again.values}], held, fine.density)
-        if retried.deviance < fine.deviance:
-            fine = retried
-    return rough, fine
+    return plain if _worth(this.before, plain) else winner.point
 
 
 def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[tuple[Recording, float]]]:
@@ -243,7 +211,9 @@ def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, fl
     named: dict[str, float] = {}
     ranking: dict[str, float] = {}
     for n, this in enumerate(found.rounds):
-        weight = compare.weights([compare.criterion(p) for p in (this.before, *(h.point for h in this.rivals))])
+        weight = compare.weights(
+            [compare.criterion(p, this.unit) for p in (this.before, *(h.point for h in this.rivals))]
+        )
         for effect in EFFECTS:
             if effect in this.before.structure:
                 continue
@@ -256,9 +226,11 @@ def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, fl
             elif n == 0 and holds:
                 ranking[effect] = max(ranking.get(effect, 0.0), sum(holds))
     for effect in found.last.structure.named:
-        without = [compare.criterion(q) for q in found.lesser if effect not in q.structure]
+        without = [q for q in found.lesser if effect not in q.structure]
         if without:
-            beside = float(compare.weights([compare.criterion(found.last), min(without)])[0])
+            unit = compare.worth([found.last, *without])
+            less = min(compare.criterion(q, unit) for q in without)
+            beside = float(compare.weights([compare.criterion(found.last, unit), less])[0])
             named[effect] = max(named.get(effect, 0.0), beside)
         named.setdefault(effect, 0.5)
         ranking[effect] = max(ranking.get(effect, 0.0), named[effect])
@@ -296,11 +268,12 @@ def _undecided(found: Search) -> tuple[tuple[str, str, str], ...]:
     out = []
     for this in found.rounds:
         ranked: list[Hypothesis] = [
-            h for h in this.rivals if compare.criterion(h.point) < compare.criterion(this.before)
+            h for h in this.rivals if compare.criterion(h.point, this.unit) < compare.criterion(this.before, this.unit)
         ]
         for other in ranked[1:]:
             one, two = ranked[0].added[0], other.added[0]
-            close = compare.criterion(other.point) - compare.criterion(ranked[0].point) < 4.0 * compare.TEMPER
+            behind = compare.criterion(other.point, this.unit) - compare.criterion(ranked[0].point, this.unit)
+            close = behind < 4.0 * compare.TEMPER
             if close and one in found.last.structure and two not in found.last.structure:
                 text = EFFECTS[one].confused_with.get(two) or EFFECTS[two].confused_with.get(one)
                 out.append((one, two, text or "a richer recording: several amplitudes, coast-downs, slow ramps"))
@@ -311,9 +284,8 @@ def _nameless(found: Search, left: unknown.Leftover) -> Point:
     """The first model with the term of no known shape that serves it best, or as it is if none does."""
     terms = unknown.which_variables(left)
     tried = [unknown.fit_unknown(found.cases, found.first, v) for v in terms]
-    best = min(tried, key=compare.criterion, default=found.first)
-    gain = compare.criterion(found.first) - compare.criterion(best)
-    return best if gain > compare.needed(best) else found.first
+    best = min(tried, key=lambda p: p.deviance, default=found.first)
+    return best if _worth(found.first, best) else found.first
 
 
 def _next(found: Search) -> Experiment:
@@ -324,7 +296,7 @@ def _next(found: Search) -> Experiment:
         for this in found.rounds
         for h in this.rivals
         if not set(h.point.structure.named) >= set(found.last.structure.named)
-        and compare.criterion(h.point) - compare.criterion(found.last) < 4.0 * compare.TEMPER
+        and compare.criterion(h.point, this.unit) - compare.criterion(found.last, this.unit) < 4.0 * compare.TEMPER
     ]
     try:
         if close:

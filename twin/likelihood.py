@@ -32,9 +32,7 @@ FloatArray = NDArray[np.float64]
 
 #: Normalised innovations beyond this count linearly, not squared (Huber).
 ROBUST_LIMIT = 4.0
-#: The filter weighs at least so many readings. A torque noise so dense that it forgets faster is no noise: neighbouring
-#: readings share their rounding and the jitter of their stamps, and being many they would decide what the slow part of
-#: the misfit, in which the physics shows, has to say.
+#: The filter weighs at least so many new readings: one that forgets faster follows the rounding of the last.
 LEAST_READINGS = 2.0
 #: Stamps whose slopes are held at once: an hour at 2 ms has eighteen times as many.
 AT_ONCE = 100_000
@@ -497,9 +495,17 @@ def profile_interval(cases: Sequence[Case], point: Point, name: str, std: float)
     return ends[0], ends[1]
 
 
+def _renewal(case: Case) -> float:
+    """The usual time between readings that are new, s: a computed speed is often held over many stamps."""
+    if not case.drive.speed:
+        return step_of(case)
+    read = case.drive.measured[np.isfinite(case.drive.measured)]
+    return step_of(case) * len(read) / max(int(np.count_nonzero(np.diff(read))), 1)
+
+
 def densest(cases: Sequence[Case]) -> float:
     """The noise density at which the filter weighs the fewest readings that it may."""
-    return min(density_of(c, LEAST_READINGS * step_of(c)) for c in cases)
+    return min(density_of(c, LEAST_READINGS * _renewal(c)) for c in cases)
 
 
 def astray(cases: Sequence[Case], point: Point) -> bool:

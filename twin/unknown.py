@@ -311,7 +311,7 @@ def _bridged(values: Mapping[str, float], prefix: str, free: Sequence[str]) -> d
 
 
 def fit_unknown(cases: Sequence[Case], base: Point, variable: str, held: Sequence[str] = ()) -> Point:
-    """The base model and a term of no known shape over one of `TERMS`, fitted together.
+    """The base model and a term of no known shape over one of `TERMS`, fitted together at the base's noise density.
 
     Raises ValueError for another variable.
     """
@@ -328,13 +328,13 @@ def fit_unknown(cases: Sequence[Case], base: Point, variable: str, held: Sequenc
     kept = tuple(n for n in base.free if n not in held and n != _HELD.get(variable))
     values = {**base.values, **start}
     if variable == "angle":
-        return likelihood.fit(mine, structure, values, (*kept, *free), base.density, rounds=10)
+        return likelihood.climb(mine, structure, values, base.density, (*kept, *free))
     prefix = f"unknown_{variable}"
     rough = likelihood.climb(
         mine, structure, _bridged(values, prefix, free), base.density, (*kept, *free), rounds=5, tolerance=1.0
     )
     values = _bridged(rough.values, prefix, free)
-    return likelihood.fit(mine, structure, values, (*kept, *free), base.density, rounds=10)
+    return likelihood.climb(mine, structure, values, base.density, (*kept, *free))
 
 
 def which_variables(found: Leftover, most: int = 2) -> list[str]:

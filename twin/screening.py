@@ -1,0 +1,306 @@
+"""Where each candidate would like to start, and what it promises: the score test beside a fitted point.
+
+At the value at which an effect does nothing, the exact sensitivities of the whole model to its parameters say in one
+step how large it would like to be and how much of the deviance it would take away, all other parameters following.
+Parameters that do nothing there themselves (a rate, a moment, a place) are tried from a grid, phases solved for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin import identify, likelihood, locate
+from twin.axis import Structure
+from twin.effects.catalogue import CANDIDATES, EFFECTS
+from twin.likelihood import Case, Point
+
+FloatArray = NDArray[np.float64]
+
+
+def _amplitude_spectrum(phase: FloatArray, torque: FloatArray, rates: FloatArray) -> FloatArray:
+    """How much of the torque's energy each rate (per unit of phase) explains, (rates,)."""
+    centred = torque - torque.mean()
+    out = np.empty(len(rates))
+    for i, rate in enumerate(rates):
+        wave = np.exp(1j * rate * phase)
+        out[i] = abs(np.dot(wave, centred)) ** 2
+    return out / max(len(torque) * float(np.dot(centred, centred)), 1e-300)
+
+
+def _peaks(rates: FloatArray, power: FloatArray, count: int) -> list[float]:
+    chosen: list[float] = []
+    for i in np.argsort(-power):
+        if all(abs(rates[i] - c) > 0.15 * c for c in chosen):
+            chosen.append(float(rates[i]))
+        if len(chosen) == count:
+            break
+    return chosen
+
+
+def _lines(missing: locate.Missing, variable: str, rates: FloatArray, count: int) -> list[float]:
+    """The rates at which the missing torque is most periodic in position or time."""
+    ok = np.isfinite(missing.torque)
+    stride = max(int(0.004 / missing.step), 1)
+    phase, torque = missing.state(variable)[ok][::stride], missing.torque[ok][::stride]
+    power = _amplitude_spectrum(phase, np.clip(torque, *np.quantile(torque, [0.01, 0.99])), rates)
+    return _peaks(rates, power, count)
+
+
+def grids(
+    cases: Sequence[Case], structure: Structure, values: Mapping[str, float]
+) -> dict[str, list[dict[str, float]]]:
+    """For each candidate, values of its non-linear parameters that are worth a try on these recordings."""
+    longest = max(cases, key=lambda c: c.drive.time[-1])
+    span = float(max(np.max(np.abs(c.recording.input)) for c in cases))
+    end = float(longest.drive.time[-1])
+    missing = locate.missing_torque(longest, structure, values)
+    places = np.concatenate([c.recording.output[np.isfinite(c.recording.output)] for c in cases])
+    travel = float(np.ptp(places))
+    out: dict[str, list[dict[str, float]]] = {}
+    for effect in CANDIDATES:
+        screen = EFFECTS[effect].screen
+        assert screen is not None
+        out[effect] = [{}]
+        for name, trial in screen.grid.items():
+            out[effect] = [{**row, name: v} for row in out[effect] for v in trial]
+    speeds = np.abs(missing.velocity[np.isfinite(missing.velocity)])
+    fast = float(np.quantile(speeds, 0.95)) if len(speeds) else 1.0
+    out["stribeck_friction"] = [{"stribeck_velocity": f * fast} for f in (0.02, 0.06, 0.15)]
+    if travel > 0.0:
+        # A ripple is one that is seen to repeat: on a turn in whole numbers, on a short or linear travel three times.
+        least = 2.0 * math.pi * 3.0 / travel
+        whole = np.arange(2.0, 61.0)
+        short = least * np.geomspace(1.0, 30.0, 117)
+        angular = not longest.recording.output_unit.startswith("m")
+        orders = whole[whole >= least] if angular and travel > 3.0 else short
+        out["torque_ripple"] = [{"ripple_order": n} for n in _lines(missing, "position", orders, 3)]
+    rates = 2.0 * math.pi * np.geomspace(max(0.1, 2.0 / end), min(25.0, 0.2 / missing.step), 600)
+    out["periodic_disturbance"] = [
+        {"disturbance_frequency": r / (2.0 * math.pi)} for r in _lines(missing, "time", rates, 3)
+    ]
+    out["thermal_fade"] = [
+        {"fade_time": f * end, "fade_reference": span} for f in (0.15, 0.5, 1.5) if 1.0 <= f * end <= 3600.0
+    ]
+    out["load_change"] = [{"load_time": f * end} for f in np.linspace(0.1, 0.9, 9)]
+    out["drive_saturation"] = [{"saturation_limit": f * span} for f in (0.4, 0.55, 0.7, 0.85, 0.95)]
+    out["motor_lag"] = [{"lag_time": t} for t in (0.003, 0.01, 0.03)]
+    out["input_delay"] = [{"delay": t} for t in (0.002, 0.006, 0.015)]
+    stops = []
+    for high, low in ((1, 0), (0, 1), (1, 1)):
+        # A stop gives by what the link runs in a few milliseconds, so it sits that much inside the furthest reading.
+        for depth in (0.002 * fast, 0.012 * fast):
+            stops.append(
+                {
+                    "stop_upper": float(places.max()) - depth if high else float(places.max()) + travel,
+                    "stop_lower": float(places.min()) + depth if low else float(places.min()) - travel,
+                    "stop_stiffness": 2e4,
+                    "stop_damping": 0.3,
+                }
+            )
+    out["end_stop"] = stops
+    if "backlash" in structure:
+        # Ringing is told by its frequency, which no gradient finds from afar, and changes what the gap looked like.
+        out["joint_elasticity"] = [
+            {
+                "joint_frequency": f,
+                "joint_damping": 0.15,
+                "motor_share": share,
+                "backlash_gap": gap,
+                "friction_share": 0.7,
+            }
+            for f in (3.0, 4.0, 5.3, 7.2, 10.0, 14.0, 20.0, 28.0)
+            for share in (0.15, 0.3, 0.45)
+            for gap in (0.015, 0.04)
+        ]
+    return out
+
+
+#: Candidates whose gain has no neutral value to differentiate at, or acts too far from it: tried as they are.
+_DIRECT = ("drive_saturation", "motor_lag", "input_delay", "end_stop", "joint_elasticity")
+
+
+#: Candidates that repeat with a full turn: a linear axis has none.
+_TURNING = ("gravity", "position_dependent_friction", "encoder_eccentricity")
+#: Of these, the ones that only a full turn tells from other physics; gravity is known by its angle of rest.
+_WHOLE_TURN = ("position_dependent_friction", "encoder_eccentricity")
+#: Candidates that happen at a moment of their own: not at the same one of several recordings.
+_MOMENTARY = ("load_change", "periodic_disturbance")
+
+
+def offered(cases: Sequence[Case], candidates: Sequence[str]) -> list[str]:
+    """The candidates that recordings of this kind can show.
+
+    Several recordings of speed begin at angles that nobody knows, so that nothing of position can be fitted to all.
+    """
+    first = cases[0].recording
+    readings = [c.drive.measured for c in cases]
+    out: set[str] = set()
+    if first.output_unit.startswith("m"):
+        out.update(_TURNING)
+    if not first.is_speed and max(float(np.nanmax(y) - np.nanmin(y)) for y in readings) < 1.8 * math.pi:
+        out.update(_WHOLE_TURN)
+    if len(cases) > 1:
+        out.update(_MOMENTARY)
+    if first.is_speed:
+        out.update(e for e in candidates if EFFECTS[e].slot == "sensor")
+    if first.is_speed and len(cases) > 1:
+        out.update(e for e in candidates if "position" in EFFECTS[e].depends_on)
+    return [e for e in candidates if e not in out]
+
+
+#: Starts of such a candidate that are looked at closely, with derivatives.
+_CLOSELY = 6
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a candidate would like to begin, and the gain in deviance that the score test promises."""
+
+    values: dict[str, float]  # of the whole model, the candidate doing nothing where it has a neutral value
+    steps: dict[str, float]  # from there, to where the candidate would like to be and what follows it
+    promise: float
+
+    def at(self, share: float) -> dict[str, float]:
+        """The values after a share of the steps."""
+        return {**self.values, **_inside({n: self.values[n] + share * s for n, s in self.steps.items()})}
+
+
+def _neutral(effect: str) -> dict[str, float]:
+    return {
+        p.name: (p.neutral if p.neutral is not None else p.start)
+        for i in (*EFFECTS[effect].includes, effect)
+        for p in EFFECTS[i].parameters
+    }
+
+
+def _score(base: Point, point: Point, news: Sequence[str]) -> tuple[FloatArray, float]:
+    """One Newton step over the base's parameters and new ones, and the deviance that the new ones promise."""
+    old = [point.free.index(n) for n in base.free]
+    new = [point.free.index(n) for n in news]
+    a = point.normal
+    size = np.sqrt(np.maximum(np.diag(a), 1e-300))
+    a = a / np.outer(size, size)
+    g = point.gradient / size
+    index = [*old, *new]
+    block = a[np.ix_(index, index)] + 1e-9 * np.eye(len(index))
+    step = likelihood.solved(block, g[index])
+    without = likelihood.solved(block[: len(old), : len(old)], g[old])
+    promise = float(g[index] @ step - g[old] @ without)
+    return step / size[index], max(promise, 0.0)
+
+
+def _nested_starts(
+    cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]]
+) -> list[Start]:
+    """Starts of a candidate with a neutral value, from the exact sensitivities at that value."""
+    screen = EFFECTS[effect].screen
+    assert screen is not None
+    structure = extended(base.structure, effect)
+    others = [EFFECTS[i].screen for i in EFFECTS[effect].includes if i not in base.structure]
+    companions = [s.gain for s in others if s is not None]
+    neutral = {k: v for k, v in _neutral(effect).items() if k not in base.values}
+    starts = []
+    for trial in trials:
+        values = {**base.values, **neutral, **trial}
+        free = (*base.free, screen.gain, *companions)
+        if screen.pair is None:
+            point = likelihood.evaluate(cases, structure, values, base.density, free)
+            step, promise = _score(base, point, (screen.gain, *companions))
+            found = dict(zip(free, step.tolist(), strict=True))
+        else:
+            name, first, second = screen.pair
+            runs = [
+                likelihood.innovations(c, structure, {**values, name: phase}, base.density, free)
+                for phase in (first, second)
+                for c in cases
+            ]
+            one, two = runs[: len(cases)], runs[len(cases) :]
+            column = free.index(screen.gain)
+            merged = [
+                replace(a, slopes=np.column_stack([a.slopes, b.slopes[:, column]]))
+                for a, b in zip(one, two, strict=True)
+            ]
+            point = likelihood.evaluate(
+                cases, structure, values, base.density, (*free, "second"), run=lambda m=merged: m
+            )
+            step, promise = _score(base, point, (screen.gain, "second", *companions))
+            assert screen.combine is not None
+            n = len(base.free)
+            gain, values[name] = screen.combine(float(step[n]), float(step[n + 1]))
+            found = dict(zip(free, [*step[:n].tolist(), gain, *step[n + 2 :].tolist()], strict=True))
+        starts.append(Start(values, found, promise))
+    return starts
+
+
+def _inside(values: Mapping[str, float]) -> dict[str, float]:
+    """Values moved inside their parameters' bounds."""
+    bounds = {p.name: (p.lower, p.upper) for e in EFFECTS.values() for p in e.parameters}
+    return {n: float(min(max(v, bounds[n][0]), bounds[n][1])) for n, v in values.items()}
+
+
+def _promised(point: Point) -> float:
+    """Deviance that one Gauss-Newton step over all free parameters promises to take away."""
+    size = np.sqrt(np.maximum(np.diag(point.normal), 1e-300))
+    a = point.normal / np.outer(size, size) + 1e-6 * np.eye(len(size))
+    g = point.gradient / size
+    return float(g @ likelihood.solved(a, g))
+
+
+def _direct_starts(
+    cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]], free: tuple[str, ...]
+) -> list[Start]:
+    """Starts of a candidate that is tried as it is; what the rest of the model would regain is promised too."""
+    structure = extended(base.structure, effect)
+    neutral = {k: v for k, v in _neutral(effect).items() if k not in base.values}
+    places = [{**base.values, **neutral, **_inside(t)} for t in trials]
+    if len(places) <= _CLOSELY:
+        points = [likelihood.evaluate(cases, structure, values, base.density, free) for values in places]
+    else:
+        # So many starts are there because the valley is narrow: the likeliest walk a little before they are judged.
+        places.sort(key=lambda v: likelihood.evaluate(cases, structure, v, base.density).deviance)
+        near = places[: _CLOSELY // 2]
+        points = [likelihood.climb(cases, structure, v, base.density, free, rounds=5, tolerance=1.0) for v in near]
+    return [Start(p.values, {}, base.deviance - p.deviance + _promised(p)) for p in points]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A candidate at the start line."""
+
+    effect: str
+    structure: Structure
+    free: tuple[str, ...]
+    values: dict[str, float]
+    promise: float
+
+
+#: Shares of a Newton step among which the likeliest is where a climb begins.
+_SHARES = (1.0, 0.3, 0.1)
+
+
+def extended(structure: Structure, effect: str) -> Structure:
+    """The structure with the effect; a soft joint stands for the teeth, too."""
+    longer = structure.with_(effect)
+    return longer.without("tooth_compliance") if effect == "joint_elasticity" else longer
+
+
+def enter(cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]]) -> Entry:
+    """The candidate where it promises most beside the base."""
+    structure = extended(base.structure, effect)
+    mine = identify.with_steps(cases, structure)
+    held = set(identify.free_parameters(base.structure)) - set(base.free)
+    free = tuple(n for n in identify.free_parameters(structure) if n not in held)
+    if effect in _DIRECT:
+        starts = _direct_starts(mine, base, effect, trials, free)
+    else:
+        starts = _nested_starts(mine, base, effect, trials)
+    best = max(starts, key=lambda s: s.promise)
+    places = [best.at(share) for share in (_SHARES if best.steps else (0.0,))]
+    if len(places) > 1:
+        places.sort(key=lambda v: likelihood.evaluate(mine, structure, v, base.density).deviance)
+    return Entry(effect, structure, free, places[0], best.promise)
