@@ -83,16 +83,19 @@ def text(root: ET.Element) -> bytes:
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + body + b"\n"
 
 
-def add_units(parent: ET.Element, names: set[str]) -> None:
-    """UnitDefinitions for every unit in use; the attributes are the same in FMI 2 and FMI 3."""
+def in_base_units(name: str) -> dict[str, str]:
+    """A unit's exponents of the base units and its factor, as attributes that FMI 2, FMI 3 and SSP name alike."""
+    factor, exponents = base_unit(name)
+    attributes = {base: str(exponent) for base, exponent in exponents.items()}
+    return attributes | ({} if factor == 1.0 else {"factor": _number(factor)})
+
+
+def _add_units(parent: ET.Element, names: set[str]) -> None:
+    """UnitDefinitions for every unit in use."""
     units = ET.SubElement(parent, "UnitDefinitions")
     for name in sorted(names):
         unit = ET.SubElement(units, "Unit", name=name)
-        factor, exponents = base_unit(name)
-        attributes = {base: str(exponent) for base, exponent in exponents.items()}
-        if factor != 1.0:
-            attributes["factor"] = _number(factor)
-        ET.SubElement(unit, "BaseUnit", attributes)
+        ET.SubElement(unit, "BaseUnit", in_base_units(name))
         if name == "rad":
             ET.SubElement(unit, "DisplayUnit", name="deg", factor=_number(_DEGREES_PER_RADIAN))
 
@@ -136,7 +139,7 @@ def _root(identity: Identity, version: str, token_name: str) -> ET.Element:
 
 def _add_common(root: ET.Element, identity: Identity, shown: Sequence[Variable], solver: Solver) -> None:
     """What stands between the kinds of simulation and the variables, alike in FMI 2 and FMI 3."""
-    add_units(root, {v.unit for v in shown} | {d.unit for d in solver.derivatives})
+    _add_units(root, {v.unit for v in shown} | {d.unit for d in solver.derivatives})
     categories = ET.SubElement(root, "LogCategories")
     ET.SubElement(categories, "Category", name="logStatusError", description="why a call was refused")
     ET.SubElement(root, "DefaultExperiment", startTime="0.0", stepSize=_number(identity.sample_time))

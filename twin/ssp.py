@@ -6,11 +6,11 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from twin.archive import Fmu, open_fmu
-from twin.description import text
+from twin.description import in_base_units, text
 from twin.errors import BadInput
 from twin.files import check_free, put, zipped
 from twin.model import Model
-from twin.variables import base_unit, variables
+from twin.variables import variables
 
 _ROOT = "http://ssp-standard.org/SSP1/SystemStructure"
 _PREFIXES = {"ssc": "Common", "ssd": "Description", "ssv": "ParameterValues"}
@@ -33,11 +33,7 @@ def _file(root: ET.Element) -> bytes:
 def _units(parent: ET.Element, prefix: str, names: set[str]) -> None:
     units = _add(parent, f"{prefix}:Units")
     for name in sorted(names):
-        factor, exponents = base_unit(name)
-        attributes = {base: str(exponent) for base, exponent in exponents.items()}
-        if factor != 1.0:
-            attributes["factor"] = repr(factor)
-        _add(_add(units, "ssc:Unit", {"name": name}), "ssc:BaseUnit", attributes)
+        _add(_add(units, "ssc:Unit", {"name": name}), "ssc:BaseUnit", in_base_units(name))
 
 
 def parameter_set(model: Model) -> bytes:
