@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import chdtrc
 
 from twin.likelihood import Point
 
@@ -66,7 +66,7 @@ def whiteness(normalised: FloatArray, lags: int = 25) -> float:
         return math.nan
     correlation = np.array([np.dot(z[k:], z[:-k]) / power for k in range(1, lags + 1)])
     statistic = n * (n + 2.0) * float(np.sum(correlation**2 / (n - np.arange(1, lags + 1))))
-    return float(stats.chi2.sf(statistic, lags))
+    return float(chdtrc(lags, statistic))
 
 
 def rmse(recorded: FloatArray, simulated: FloatArray) -> tuple[float, float]:
