@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
+from matplotlib.path import Path
 from matplotlib.textpath import TextToPath
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
@@ -90,8 +91,7 @@ def _svg(draw: Callable[[Figure], None], width: float, height: float, says: str)
 
 
 _TEXT = TextToPath()
-_CODES = {1: "M", 2: "L", 3: "Q", 4: "C", 79: "Z"}
-_COUNTS = {1: 1, 2: 1, 3: 2, 4: 3, 79: 1}
+_LETTERS = {Path.MOVETO: "M", Path.LINETO: "L", Path.CURVE3: "Q", Path.CURVE4: "C", Path.CLOSEPOLY: "Z"}
 
 
 def math_svg(latex: str) -> str:
@@ -105,13 +105,10 @@ def math_svg(latex: str) -> str:
             points, codes = _TEXT.get_text_path(font, f"${latex}$", ismath=True)
         except ValueError:
             return f"<code>{label}</code>"
-    outline, i = [], 0
-    while i < len(codes):
-        code = int(codes[i])
-        count = _COUNTS[code]
-        ends = [] if code == 79 else [f"{x:.0f} {-y:.0f}" for x, y in points[i : i + count]]
-        outline.append(_CODES[code] + " ".join(ends))
-        i += count
+    outline = []
+    for ends, code in Path(points, codes).iter_segments(simplify=False):
+        places = [] if code == Path.CLOSEPOLY else [f"{x:.0f} {-y:.0f}" for x, y in ends.reshape(-1, 2)]
+        outline.append(_LETTERS[code] + " ".join(places))
     em, pad = 1.06 / size, 4.0
     style = (
         f"width:{(width + 2 * pad) * em:.3f}em;height:{(height + 2 * pad) * em:.3f}em;"
