@@ -18,7 +18,7 @@ from twin.recording import Recording, Rig
 Progress = Callable[[str, float], None]
 
 
-def known_effect(name: str, where: str) -> str:
+def _known_effect(name: str, where: str) -> str:
     """An effect id. Raises BadInput, with the id that may have been meant."""
     if name in EFFECTS:
         return name
@@ -34,11 +34,11 @@ def first_structure(
 
     Raises BadInput.
     """
-    named = [known_effect(e, f"{rig.name} [structure]") for e in rig.effects]
+    named = [_known_effect(e, f"{rig.name} [structure]") for e in rig.effects]
     structure = identify.base_structure().with_(*named) if given is None else given
-    structure = structure.with_(*(known_effect(e, "--with") for e in more))
+    structure = structure.with_(*(_known_effect(e, "--with") for e in more))
     for effect in fewer:
-        if known_effect(effect, "--without") == "inertia":
+        if _known_effect(effect, "--without") == "inertia":
             raise BadInput("--without inertia: every model has an input gain; leave that out")
         if effect not in structure:
             raise BadInput(f"--without {effect}: the first model has no such effect; it has {', '.join(structure.ids)}")

@@ -51,7 +51,7 @@ def interface(model: Model) -> dict[str, Any]:
     }
 
 
-def slave_text(model: Model) -> str:
+def _slave_text(model: Model) -> str:
     """The slave's module: its behaviour, and the physics of the structure below it."""
     return pack.SLAVE.read_text(encoding="utf-8") + python.write(model.structure)
 
@@ -60,7 +60,7 @@ def identity(model: Model) -> description.Identity:
     """Names hashed from all that the FMU is, numbers apart: an update must not change them."""
     listed = [asdict(v) | {"start": None} for v in variables(model)]
     said = [interface(model), listed, model.sample_time, importlib.metadata.version("pythonfmu")]
-    text = json.dumps(said) + slave_text(model) + c.library(model.structure)
+    text = json.dumps(said) + _slave_text(model) + c.library(model.structure)
     digest = hashlib.sha256(text.encode()).hexdigest()
     return description.of_axis(model, f"axis_{digest[:12]}", f"{{{uuid.UUID(digest[:32])}}}")
 
@@ -86,7 +86,7 @@ def export(model: Model, out: Path, force: bool = False) -> Path:
     who = identity(model).identifier
     if (library := compilers.for_linux(c.library(model.structure), stepper := f"{who}_stepper")) is not None:
         resources[f"{stepper}.so"] = library
-    put(out, pack.pack(slave_text(model), who, resources, described(model)))
+    put(out, pack.pack(_slave_text(model), who, resources, described(model)))
     return out
 
 

@@ -112,10 +112,8 @@ def headline(diagnosis: Diagnosis) -> str:
     return f"Something is missing that none of the known effects describes{tail}."
 
 
-def fit_change(before: Fitness, after: Fitness, unit: str, where: str) -> str:
+def _fit_change(before: Fitness, after: Fitness, unit: str, where: str) -> str:
     """How the free-running error changed."""
-    if not math.isfinite(before.rmse):
-        return ""
     change = (
         f"from {number(before.nrmse_percent)}\u202f% to {number(after.nrmse_percent)}\u202f% of the recorded range "
         f"({number(before.rmse)} to {number(after.rmse)} {unit_text(unit)})"
@@ -124,11 +122,9 @@ def fit_change(before: Fitness, after: Fitness, unit: str, where: str) -> str:
     return f"{where} the free-running simulation's error {moved} {change}."
 
 
-def held_out_part(diagnosis: Diagnosis) -> str:
+def _held_out_part(diagnosis: Diagnosis) -> str:
     """What the hold-out is, to begin a sentence with."""
     held = [t for t in diagnosis.traces if t.role == "holdout"]
-    if not held:
-        return "On the training data"
     span = sum(float(t.time[-1] - t.time[0]) for t in held)
     of = f" in {len(held)} recordings" if len(held) > 1 else ""
     return f"On {number(span)} s{of} that no fit has seen"
@@ -140,8 +136,8 @@ def fit_sentence(diagnosis: Diagnosis) -> str:
     for role in ("holdout", "train"):
         both = diagnosis.fit.get(role, {})
         if "before" in both and math.isfinite(both["before"].rmse):
-            where = held_out_part(diagnosis) if role == "holdout" else "On the training data"
-            return fit_change(both["before"], both["after"], unit, where)
+            where = _held_out_part(diagnosis) if role == "holdout" else "On the training data"
+            return _fit_change(both["before"], both["after"], unit, where)
     return "There were no readings to compare a simulation with."
 
 

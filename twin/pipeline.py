@@ -37,7 +37,7 @@ def check(fmu: Path, name: str, log: Recording) -> Check:
     return Check(name, log.name, ran.rmse(log), ran.nrmse_percent(log), time.perf_counter() - began, problems)
 
 
-def check_folder(out: Path, force: bool) -> None:
+def _check_folder(out: Path, force: bool) -> None:
     """Raises BadInput where the results may not or cannot go into this folder."""
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out} is a file: give the name of a folder with --out")
@@ -69,7 +69,7 @@ def run(
 
     Raises BadInput; then nothing is written.
     """
-    check_folder(out, force)
+    _check_folder(out, force)
     tell = progress or (lambda sentence, share: None)
     began = time.perf_counter()
     structure = fitting.first_structure(rig, more, fewer)
