@@ -84,7 +84,9 @@ def export(model: Model, out: Path, force: bool = False) -> Path:
         "model.toml": dumps(model),
     }
     who = identity(model).identifier
-    if (library := compilers.for_linux(c.library(model.structure), stepper := f"{who}_stepper")) is not None:
+    stepper = f"{who}_stepper"
+    library = compilers.for_linux(c.library(model.structure), stepper)
+    if library is not None:
         resources[f"{stepper}.so"] = library
     put(out, pack.pack(_slave_text(model), who, resources, described(model)))
     return out
