@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import argparse
+import io
 import json
 import os
 import re
 import subprocess
 import sys
+import time
 import tomllib
 import xml.etree.ElementTree as ET
 import zipfile
@@ -520,6 +523,18 @@ def test_a_command_imports_only_what_it_needs(bench, command, code, heavy):
         env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1])},
     )  # fmt: skip
     assert said.stdout.splitlines()[-1:] == [str(code)], said
+
+
+def test_the_bar_is_drawn_and_then_gone(monkeypatch):
+    drawn = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", drawn)
+    with cli._progress(argparse.Namespace(quiet=False)) as tell:
+        tell("computing", 0.5)
+        deadline = time.monotonic() + 60.0
+        while "computing" not in drawn.getvalue() and time.monotonic() < deadline:
+            time.sleep(0.05)
+    shown, covered, rest = drawn.getvalue().split("\r")[-3:]
+    assert "computing" in shown and covered.isspace() and len(covered) >= len(shown) and rest == ""
 
 
 def test_a_poor_console_gets_plain_text(shelf, tmp_path):

@@ -66,6 +66,7 @@ def _progress(args: argparse.Namespace) -> Iterator[Progress]:
     def draw() -> None:
         # The work says little while it computes: a bar whose clock stands still looks like one that hangs.
         if not done.wait(1.0):
+            bar.delay = 0.0  # else tqdm takes the bar for one that was never drawn, and leaves it standing
             bar.refresh()
             while not done.wait(0.25 if tty else 30.0):
                 bar.refresh()

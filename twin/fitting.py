@@ -89,6 +89,8 @@ def estimate(
     """
     if horizon is not None and method != "joint":
         raise BadInput(f"--horizon goes with --method joint, not {method}: leave one of them out")
+    if horizon is not None and not horizon > 0.0:
+        raise BadInput(f"the horizon is {horizon:g} s: give a time above 0")
     if closed and horizon is None:
         raise BadInput("--closed says how to predict over a horizon: add --horizon SECONDS")
     if method == "joint":
