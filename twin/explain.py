@@ -55,7 +55,7 @@ _OWN = 0.8
 
 def _climb(cases: Sequence[Case], base: Point, entry: Entry) -> Hypothesis:
     mine = identify.with_steps(cases, entry.structure)
-    found = likelihood.climb(mine, entry.structure, entry.values, base.density, entry.free, rounds=12, tolerance=1.0)
+    found = likelihood.climb(mine, entry.structure, entry.values, base.density, entry.free, rounds=6, tolerance=1.0)
     return Hypothesis((entry.effect,), found)
 
 
@@ -147,12 +147,17 @@ def _finish(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float], den
 def _from_afar(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float], density: float) -> Hypothesis:
     # Teeth looked for anew: what the smaller model took for teeth may be the effect.
     structure = identify.with_teeth(h.point.structure)
-    found = identify.refine(cases, structure, h.point, held)
-    return Hypothesis(h.added, settle(cases, structure, found.values, held, density))
+    values = {p.name: h.point.values.get(p.name, p.start) for p in structure.parameters}
+    begun = identify.likeliest_teeth(identify.with_steps(cases, structure), structure, values, density)
+    return Hypothesis(h.added, settle(cases, structure, begun, held, density))
 
 
 def compete(
-    cases: Sequence[Case], before: Point, rough: Point, candidates: Sequence[str], held: Mapping[str, float]
+    cases: Sequence[Case],
+    before: Point,
+    far: Sequence[Hypothesis],
+    candidates: Sequence[str],
+    held: Mapping[str, float],
 ) -> Round:
     """One round: fit the candidates that promise most, and let the smaller model learn from the best of them."""
     density, structure = before.density, before.structure
@@ -163,7 +168,7 @@ def compete(
             best[h.added] = min(best.get(h.added, h), h, key=lambda o: o.deviance)
 
     with ThreadPoolExecutor(2) as pool:
-        keep(list(pool.map(lambda h: _from_afar(cases, h, held, density), contest(cases, rough, candidates)[:FAR])))
+        keep(list(pool.map(lambda h: _from_afar(cases, h, held, density), far[:FAR])))
         for _ in range(AGAIN):
             near = contest(cases, before, candidates)[:NEAR]
             keep(list(pool.map(lambda h: _finish(cases, h, held, density), near)))
@@ -173,7 +178,7 @@ def compete(
                 key=lambda p: p.deviance,
             )
             unit = compare.worth([before, leaders[0].point])
-            if smaller.deviance > before.deviance - unit:
+            if smaller.deviance > before.deviance - compare.PRICE * unit:
                 break
             before = smaller
         # Those that are not far behind the best may only have ended in a lesser valley.

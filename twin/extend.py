@@ -92,13 +92,14 @@ def search(
     cases, fine = identify.polish(cases, identify.refine(cases, identify.with_teeth(first), rough, held))
     best = explain.settle(cases, first, fine.values, held, explain.judged(cases, fine))
     smallest = best
+    far = explain.contest(cases, rough, [c for c in candidates if c not in first])
     rounds: list[Round] = []
     for n in range(MOST):
         open_ = [c for c in candidates if c not in best.structure]
         if not open_:
             break
         tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)
-        this = explain.compete(cases, best, rough, open_, held)
+        this = explain.compete(cases, best, far, open_, held)
         rounds.append(this)
         best, winner = this.before, this.rivals[0].point
         if n == 0:
@@ -106,7 +107,7 @@ def search(
         if not explain.plausible(cases, winner) or not _worth(best, winner):
             break
         best = _plainer(cases, this, held)
-        rough = identify.coarse(cases, best.structure.without("tooth_compliance"), best.values, held)
+        far = []
     lesser: list[Point] = []
     while len(best.structure.named) > 1:
         lesser = _fits(cases, best, held, _smaller(best.structure, first))

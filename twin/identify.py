@@ -151,6 +151,15 @@ def _doors(
         return sorted(pool.map(enter, begun), key=lambda p: p.deviance)
 
 
+def likeliest_teeth(
+    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], density: float
+) -> dict[str, float]:
+    """The values with the likeliest teeth that the structure allows."""
+    if "tooth_compliance" not in structure:
+        return dict(values)
+    return _scan(cases, structure, values, density, _TEETH, keep=1)[0]
+
+
 def refine(cases: Sequence[Case], structure: Structure, coarse_point: Point, held: Mapping[str, float]) -> Point:
     """The maximum of the full likelihood from a coarse point, teeth included where the structure has them."""
     values = {p.name: coarse_point.values.get(p.name, p.start) for p in structure.parameters}
