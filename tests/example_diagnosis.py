@@ -10,7 +10,7 @@ import numpy as np
 from twin import locate
 from twin.axis import BASE, Structure
 from twin.cosim import ModelPlant
-from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace
+from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
 from twin.locate import Missing, Segment
 from twin.model import Model
 from twin.recording import Fault, Recording
@@ -84,7 +84,7 @@ def example(verdict: str = "explained", several: bool = False, axis_unit: str = 
     )
     found = (
         Finding(
-            "gravity", "load", 0.98, "Gravity pulls the link towards 0.2 rad: the axis is not vertical.",
+            "gravity", "load", 0.62, "Gravity pulls the link towards 0.2 rad: the axis is not vertical.",
             latex.equation("gravity", axis_unit),
             {"gravity_gain": Estimate(3.1, 0.02, "rad/s^2"), "gravity_angle": Estimate(0.2, 0.001, "rad")},
         ),
@@ -94,7 +94,7 @@ def example(verdict: str = "explained", several: bool = False, axis_unit: str = 
     return Diagnosis(
         verdict=verdict,
         findings=found if after is truth else (),
-        ranking=(("gravity", 0.98), ("spring", 0.01)),
+        ranking=(("gravity", 0.62), ("spring", 0.37)),
         station="load",
         depends_on=("position",),
         segments=(Segment(1.0, 1.5, 0.21), Segment(2.5, 3.5, 0.34)),
@@ -109,7 +109,7 @@ def example(verdict: str = "explained", several: bool = False, axis_unit: str = 
         recordings=recordings,
         faults=tuple(f for r in recordings for f in r.faults),
         experiment=Experiment("Travel over more than half a turn.", *excitation(2.0)),
-        undecided=(("gravity", "spring", "travel over more than half a turn"),),
+        undecided=(Undecided(("gravity", "spring"), (0.62, 0.37), "travel over more than half a turn"),),
         remarks=("The likelihood & the free run <disagree>.",),
         seconds={"search": 12.3, "locate": 0.1},
     )

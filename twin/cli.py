@@ -397,7 +397,7 @@ def _diagnose(args: argparse.Namespace) -> int:
     if args.report is not None:
         files.put(args.report, page)
     said = [*_assumptions(rig), *phrases.sentences(d), *d.remarks]
-    said += [f"{a} and {b} cannot be told apart on this recording; this would: {how}." for a, b, how in d.undecided]
+    said += [phrases.doubt(u) for u in d.undecided]
     if experiment:
         said.append(f"Next: {d.experiment.why} The input to play is in {experiment_file}.")
     _answer(args, said, finding.to_json(d, str(experiment_file) if experiment else ""))

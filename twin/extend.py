@@ -16,7 +16,7 @@ from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS
 from twin.errors import BadInput
 from twin.explain import Hypothesis, Round
-from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace
+from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
 from twin.likelihood import Case, Point
 from twin.model import Model
 from twin.recording import Recording, driven
@@ -28,18 +28,32 @@ Progress = Callable[[str, float], None]
 TRAINING = 0.7
 #: More effects than this at once are not looked for.
 MOST = 4
+#: Criteria that differ by less leave two explanations undecided: 88 % to 12 %.
+CLOSE = 4.0 * compare.TEMPER
 _TIMED = ("load_change", "thermal_fade", "periodic_disturbance")
 
 
 @dataclass(frozen=True, eq=False)
+class Swap:
+    """The last model with a rival in the place of one of its effects, fitted."""
+
+    effect: str
+    rival: str
+    point: Point
+
+
+@dataclass(frozen=True, eq=False)
 class Search:
-    """How a structure was arrived at: the first model, the last, the rounds between, and the last less one effect."""
+    """How a structure was arrived at: the first model, the last, the rounds between, the last less one effect, and the
+    last with one effect exchanged for a rival that had come close to it.
+    """
 
     first: Point
     last: Point
     rounds: tuple[Round, ...]
     cases: tuple[Case, ...]
     lesser: tuple[Point, ...] = ()
+    swaps: tuple[Swap, ...] = ()
 
 
 def _worth(before: Point, after: Point) -> bool:
@@ -115,7 +129,48 @@ def search(
         if less is best:
             break
         best = less
-    return Search(smallest, best, tuple(rounds), tuple(cases), tuple(lesser))
+    swaps = _swapped(cases, best, rounds, held)
+    better = max(swaps, key=lambda w: _ahead(w.point, best), default=None)
+    if better is not None and _ahead(better.point, best) > 0.0:
+        # The rival had lost beside what was still missing then; now it is the one that fits.
+        swaps = [Swap(better.rival, better.effect, best)]
+        best = better.point
+        lesser = _fits(cases, best, held, _smaller(best.structure, first)) if lesser else []
+    return Search(smallest, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
+
+
+def _ahead(one: Point, other: Point) -> float:
+    """By how many units the criterion of the first is better than that of the second."""
+    unit = compare.worth([one, other])
+    return compare.criterion(other, unit) - compare.criterion(one, unit)
+
+
+def _contest(rounds: Sequence[Round], last: Structure, effect: str) -> list[tuple[Hypothesis, float]]:
+    """The rivals that lack an effect of the last model, and how far behind it each was when it won its place.
+
+    A rival that contains the effect and more does not deny it; one that is in the last model, too, took nothing away.
+    """
+    for this in reversed(rounds):
+        holders = [compare.criterion(h.point, this.unit) for h in this.rivals if effect in h.point.structure]
+        if effect not in this.before.structure and holders:
+            others = [h for h in this.rivals if effect not in h.point.structure and h.added[0] not in last]
+            return [(h, compare.criterion(h.point, this.unit) - min(holders)) for h in others]
+    return []
+
+
+def _swapped(cases: Sequence[Case], last: Point, rounds: Sequence[Round], held: Mapping[str, float]) -> list[Swap]:
+    """The last model with each effect exchanged for every rival that had come close to it."""
+    out = []
+    for effect in last.structure.named:
+        for h, behind in _contest(rounds, last.structure, effect):
+            if behind < CLOSE and explain.plausible(cases, h.point):
+                rest = last.structure.without(effect, *_orphans(last.structure, effect))
+                point, other = h.point, rest.with_(*h.added)
+                if other.named != point.structure.named:
+                    values = {**point.values, **last.values}
+                    point = explain.settle(cases, other, values, held, last.density)
+                out.append(Swap(effect, h.added[0], point))
+    return out
 
 
 def _plainer(cases: Sequence[Case], this: Round, held: Mapping[str, float]) -> Point:
@@ -208,33 +263,30 @@ def says(effect: str, model: Model) -> str:
 
 
 def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, float], ...]]:
-    """Per named effect, and a ranking of the first round's candidates with "nothing" among them."""
+    """Per named effect, and a ranking of these, their rivals and, of the first round, what else was tried.
+
+    An effect shares what is certain with each rival that could stand in its place, and with its absence.
+    """
     named: dict[str, float] = {}
     ranking: dict[str, float] = {}
-    for n, this in enumerate(found.rounds):
-        weight = compare.weights(
-            [compare.criterion(p, this.unit) for p in (this.before, *(h.point for h in this.rivals))]
-        )
-        for effect in EFFECTS:
-            if effect in this.before.structure:
-                continue
-            holds = [
-                float(w) for h, w in zip(this.rivals, weight[1:], strict=True) if effect in h.point.structure.named
-            ]
-            also = [float(w) for h, w in zip(this.rivals, weight[1:], strict=True) if effect in h.point.structure]
-            if effect in found.last.structure.named and also:
-                named[effect] = ranking[effect] = max(named.get(effect, 0.0), sum(also))
-            elif n == 0 and holds:
-                ranking[effect] = max(ranking.get(effect, 0.0), sum(holds))
     for effect in found.last.structure.named:
-        without = [q for q in found.lesser if effect not in q.structure]
-        if without:
-            unit = compare.worth([found.last, *without])
-            less = min(compare.criterion(q, unit) for q in without)
-            beside = float(compare.weights([compare.criterion(found.last, unit), less])[0])
-            named[effect] = max(named.get(effect, 0.0), beside)
-        named.setdefault(effect, 0.5)
-        ranking[effect] = max(ranking.get(effect, 0.0), named[effect])
+        if effect.startswith("unknown_"):
+            continue
+        contest = _contest(found.rounds, found.last.structure, effect)
+        against = {h.added[0]: max(behind, 0.0) for h, behind in contest}
+        against |= {w.rival: _ahead(found.last, w.point) for w in found.swaps if w.effect == effect}
+        lesser = found.lesser or tuple(this.before for this in found.rounds[:1])
+        without = [_ahead(found.last, q) for q in lesser if effect not in q.structure]
+        weight = compare.weights([0.0, *against.values(), *([min(without)] if without else [])])
+        named[effect] = float(weight[0])
+        for rival, w in zip(against, weight[1:], strict=False):
+            ranking[rival] = max(ranking.get(rival, 0.0), float(w))
+    for this in found.rounds[:1]:
+        tried = (this.before, *(h.point for h in this.rivals))
+        weight = compare.weights([compare.criterion(p, this.unit) for p in tried])
+        for h, w in zip(this.rivals, weight[1:], strict=True):
+            ranking.setdefault(h.added[0], 0.0 if named else float(w))
+    ranking |= named
     return named, tuple(sorted(ranking.items(), key=lambda pair: -pair[1]))
 
 
@@ -264,21 +316,17 @@ def _findings(found: Search, model: Model, first: Structure) -> tuple[Finding, .
     return tuple(sorted(out, key=lambda f: -f.probability))
 
 
-def _undecided(found: Search) -> tuple[tuple[str, str, str], ...]:
-    """Pairs that came within a few units of one another."""
+def _undecided(found: Search) -> tuple[Undecided, ...]:
+    """Effects and the rivals that could as well stand in their place, with what each is given."""
+    named, ranking = _probabilities(found)
     out = []
-    for this in found.rounds:
-        ranked: list[Hypothesis] = [
-            h for h in this.rivals if compare.criterion(h.point, this.unit) < compare.criterion(this.before, this.unit)
-        ]
-        for other in ranked[1:]:
-            one, two = ranked[0].added[0], other.added[0]
-            behind = compare.criterion(other.point, this.unit) - compare.criterion(ranked[0].point, this.unit)
-            close = behind < 4.0 * compare.TEMPER
-            if close and one in found.last.structure and two not in found.last.structure:
-                text = EFFECTS[one].confused_with.get(two) or EFFECTS[two].confused_with.get(one)
-                out.append((one, two, text or "a richer recording: several amplitudes, coast-downs, slow ramps"))
-    return tuple(out)
+    for swap in found.swaps:
+        one, two = swap.effect, swap.rival
+        if _ahead(found.last, swap.point) < CLOSE:
+            text = EFFECTS[one].confused_with.get(two) or EFFECTS[two].confused_with.get(one)
+            text = text or "a richer recording: several amplitudes, coast-downs, slow ramps"
+            out.append(Undecided((one, two), (named[one], dict(ranking)[two]), text))
+    return tuple(sorted(out, key=lambda u: -u.probabilities[1]))
 
 
 def _nameless(found: Search, left: unknown.Leftover) -> Point:
@@ -292,17 +340,10 @@ def _nameless(found: Search, left: unknown.Leftover) -> Point:
 def _next(found: Search) -> Experiment:
     """The input that would tell the closest rivals apart, or fix what is known worst."""
     cases = identify.with_steps(found.cases, found.last.structure)
-    close = [
-        h.point
-        for this in found.rounds
-        for h in this.rivals
-        if not set(h.point.structure.named) >= set(found.last.structure.named)
-        and compare.criterion(h.point, this.unit) - compare.criterion(found.last, this.unit) < 4.0 * compare.TEMPER
-    ]
+    close = [w.point for w in found.swaps if _ahead(found.last, w.point) < CLOSE]
+    near = sorted(close, key=lambda p: _ahead(found.last, p))[:1]
     try:
-        if close:
-            return experiment.separate([found.last, *close[:1]], cases)
-        return experiment.sharpen(found.last, cases)
+        return experiment.separate([found.last, *near], cases)
     except (BadInput, np.linalg.LinAlgError) as error:
         return Experiment(why=f"no experiment was designed: {error}")
 
@@ -345,7 +386,7 @@ def diagnose(
     verdict = unknown.verdict(named, left[0], left[1])
     if verdict == "unexplained":
         tell("drawing a term for what has no name", 0.85)
-        found = replace(found, last=_nameless(found, left[0]), rounds=found.rounds[:1])
+        found = replace(found, last=_nameless(found, left[0]), rounds=found.rounds[:1], lesser=(), swaps=())
         lap("term without a name")
     before = identify.to_model(found.cases, found.first, train, held)
     after = identify.to_model(found.cases, found.last, train, held)

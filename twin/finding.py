@@ -72,13 +72,25 @@ class Experiment:
     about: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class Undecided:
+    """Two effects that this recording cannot tell apart: the one in the model, the one that could stand in its place.
+
+    `probabilities` are what each is given, `experiment` what would decide.
+    """
+
+    ids: tuple[str, str]
+    probabilities: tuple[float, float]
+    experiment: str
+
+
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """The answer of `twin diagnose`.
 
     `verdict` is explained, nothing_missing, partly_explained or unexplained. `ranking` pairs effect ids with
     probabilities, the likeliest first. `fit` is keyed by "train" and "holdout", then "before" and "after".
-    `undecided` are pairs of ids that this recording cannot tell apart, with the experiment that would.
+    `undecided` are pairs that this recording cannot tell apart, with the experiment that would.
     """
 
     verdict: str
@@ -98,7 +110,7 @@ class Diagnosis:
     recordings: tuple[Recording, ...]
     faults: tuple[Fault, ...]
     experiment: Experiment = field(default_factory=Experiment)
-    undecided: tuple[tuple[str, str, str], ...] = ()  # id, id, experiment
+    undecided: tuple[Undecided, ...] = ()
     remarks: tuple[str, ...] = ()  # sentences: criteria that disagree, what the recording cannot fix
     seconds: Mapping[str, float] = field(default_factory=dict)  # per stage
 
@@ -141,7 +153,10 @@ def to_json(diagnosis: Diagnosis, experiment_file: str = "") -> dict[str, Any]:
         "fit": {role: {when: _fitness(f) for when, f in both.items()} for role, both in d.fit.items()},
         "recording_faults": [{"kind": f.kind, "start": f.start, "end": f.end, "says": f.says} for f in d.faults],
         "next_experiment": {"why": d.experiment.why, "file": experiment_file},
-        "undecided": [{"ids": [a, b], "experiment": e} for a, b, e in d.undecided],
+        "undecided": [
+            {"ids": list(u.ids), "probabilities": list(u.probabilities), "experiment": u.experiment}
+            for u in d.undecided
+        ],
         "remarks": list(d.remarks),
         "seconds": dict(d.seconds),
     }

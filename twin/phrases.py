@@ -10,7 +10,7 @@ from twin.effects.catalogue import EFFECTS
 
 if TYPE_CHECKING:
     from twin.cosim import Tracking
-    from twin.finding import Diagnosis, Fitness
+    from twin.finding import Diagnosis, Fitness, Undecided
     from twin.recording import Recording
 
 #: The variables that a misfit may go with, in plain words.
@@ -97,9 +97,15 @@ def variables(diagnosis: Diagnosis) -> str:
     return listed([VARIABLES.get(v, v) for v in diagnosis.depends_on])
 
 
+def doubt(pair: Undecided) -> str:
+    """Two effects that could be each other, how likely either is, and what would tell."""
+    one, two = (f"{title(i)} ({percent(p)})" for i, p in zip(pair.ids, pair.probabilities, strict=True))
+    return f"This recording cannot tell {one} from {two}; this would: {pair.experiment}."
+
+
 def headline(diagnosis: Diagnosis) -> str:
     """The verdict in one sentence."""
-    found = listed([title(f.id) for f in diagnosis.findings])
+    found = listed([_or_else(f.id, diagnosis) for f in diagnosis.findings])
     if diagnosis.verdict == "explained":
         pronoun = "it" if len(diagnosis.findings) == 1 else "them"
         return f"The first model left out {found}; with {pronoun}, the model explains the recording."
@@ -110,6 +116,12 @@ def headline(diagnosis: Diagnosis) -> str:
     where = variables(diagnosis)
     tail = f", and it goes with {where}" if where else ""
     return f"Something is missing that none of the known effects describes{tail}."
+
+
+def _or_else(effect: str, diagnosis: Diagnosis) -> str:
+    """An effect and whatever could as well stand in its place."""
+    rivals = [title(u.ids[1]) for u in diagnosis.undecided if u.ids[0] == effect]
+    return " or ".join([title(effect), *rivals]) + (" (this recording cannot tell which)" if rivals else "")
 
 
 def _fit_change(before: Fitness, after: Fitness, unit: str, where: str) -> str:

@@ -324,9 +324,7 @@ def _ranking(story: Story) -> str:
         for i, p in d.ranking[:8]
     )
     parts = [f'<ol class="ranking">{bars}</ol>'] if bars else []
-    for a, b, how in d.undecided:
-        pair = f"{phrases.title(a)} and {phrases.title(b)}"
-        parts.append(_said(f"Not to be told apart on this recording: {pair}. This would: {how}."))
+    parts += [_said(phrases.doubt(u)) for u in d.undecided]
     return _section("rivals", "Rival explanations", *parts)
 
 

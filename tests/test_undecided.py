@@ -1,0 +1,106 @@
+"""Recordings that cannot separate two effects: both are shown, with what each is given and what would decide."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="the recordings' generator needs the extra 'mujoco'")
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+
+from example_diagnosis import RIG, example
+from mujoco_rig import TURN, Concealed, draw_rig, simulate
+
+from twin import compare, extend, finding, phrases, report
+from twin.axis import BASE, Structure
+from twin.explain import Hypothesis, Round
+from twin.extend import CLOSE, Search, Swap
+from twin.finding import Diagnosis
+from twin.likelihood import Point
+from twin.recording import Recording
+from twin.report import Story
+
+
+def slow(seconds: float, most: float, top: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Sines up to `top` Hz: no edge, no rest, nothing quick."""
+    time = np.round(np.arange(round(seconds / 0.002)) * 0.002, 9)
+    lines = np.geomspace(0.15, top, 6)
+    phases = rng.uniform(0.0, TURN, 6)
+    duty = sum(np.sin(TURN * f * time + p) / np.sqrt(f) for f, p in zip(lines, phases, strict=True))
+    return time, np.round(most * duty / np.abs(duty).max(), 2)
+
+
+def diagnosed(effect: Concealed, seed: int, most: float, top: float) -> Diagnosis:
+    rng = np.random.default_rng(seed)
+    rig = draw_rig(rng)
+    run = simulate(rig, [effect], *slow(16.0, most, top, rng), seed)
+    count = TURN / rig.counts_per_revolution
+    recording = Recording("slow", run.time, run.duty, run.counts * count, "%", "rad", count)
+    return extend.diagnose([recording], Structure.of(BASE))
+
+
+@pytest.mark.parametrize(
+    ("effect", "rival", "seed", "most", "top"),
+    [
+        # Of a signal that changes little in a few milliseconds, lag and delay make the same: it comes late.
+        (Concealed("motor_lag", {"time": 0.006}), "input_delay", 5, 45.0, 0.8),
+        (Concealed("input_delay", {"time": 0.006}), "motor_lag", 5, 45.0, 0.8),
+        # Over a tenth of a radian the sine of the angle is a straight line.
+        (Concealed("spring", {"stiffness": 1.06, "rest": 0.0}), "gravity", 2, 20.0, 1.0),
+    ],
+    ids=["lag", "delay", "spring"],
+)
+def test_what_the_recording_cannot_separate_is_shown_as_two(effect, rival, seed, most, top):
+    found = diagnosed(effect, seed, most, top)
+    assert found.verdict == "explained"
+    (pair,) = found.undecided
+    assert set(pair.ids) == {effect.id, rival}
+    (named,) = found.findings
+    assert named.id == pair.ids[0] and named.probability == pair.probabilities[0] < 0.9
+    assert dict(found.ranking)[pair.ids[1]] == pair.probabilities[1] > 0.1
+    assert sum(p for _, p in found.ranking) <= 1.0 + 1e-9
+    assert set(found.experiment.about) == set(pair.ids) and len(found.experiment.time)
+    said = phrases.headline(found)
+    assert "cannot tell which" in said and all(phrases.title(i) in said for i in pair.ids)
+
+
+def point(criterion: float, *effects: str) -> Point:
+    structure = Structure.of([*BASE, *effects])
+    nothing = np.zeros((0, 0))
+    return Point(structure, {}, 1.0, (), criterion, 1.0, nothing, np.zeros(0), nothing)
+
+
+def search(gap: float, *also: str) -> Search:
+    """A search that chose gravity and found a spring `gap` units of the criterion behind, `also` known before."""
+    before, one = point(3000.0, *also), point(1000.0, *also, "gravity")
+    two = point(1000.0 + gap, *also, "spring")
+    more = point(1000.0 + 1.0, *also, "gravity", "coulomb_friction")
+    rivals = (Hypothesis(("gravity",), one), Hypothesis(("coulomb_friction",), more), Hypothesis(("spring",), two))
+    swaps = (Swap("gravity", "spring", two),) if gap < CLOSE else ()
+    return Search(before, one, (Round(before, rivals, ()),), (), (point(3000.0, *also),), swaps)
+
+
+@pytest.mark.parametrize("also", [(), ("motor_lag",)])
+def test_a_rival_takes_its_share_and_a_larger_model_none(also):
+    even = extend._probabilities(search(0.0, *also))[0]
+    assert even["gravity"] == pytest.approx(0.5)
+    odds = extend._probabilities(search(2.0 * compare.TEMPER * np.log(4.0), *also))[0]
+    assert odds["gravity"] == pytest.approx(0.8)
+    assert extend._probabilities(search(1500.0, *also))[0]["gravity"] > 0.999
+    assert extend._undecided(search(1500.0, *also)) == ()
+    (pair,) = extend._undecided(search(20.0, *also))
+    assert pair.ids == ("gravity", "spring") and sum(pair.probabilities) == pytest.approx(1.0)
+
+
+def test_the_user_is_told_of_both():
+    told = finding.to_json(example())["undecided"]
+    assert told == [
+        {"ids": ["gravity", "spring"], "probabilities": [0.62, 0.37], "experiment": "travel over more than half a turn"}
+    ]
+    page = report.html(Story(diagnosis=example(), rig=RIG))
+    for words in ("gravity on the link or spring", "62\u202f%", "37\u202f%", "travel over more than half a turn"):
+        assert words in page
+
