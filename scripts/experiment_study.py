@@ -40,7 +40,7 @@ from excitations import Limits as Range
 from excitations import Signal, paper, rich
 from mujoco_rig import TURN, Concealed, Rig, draw_effect, draw_rig, simulate
 
-from twin import explain, identify, likelihood
+from twin import compare, explain, identify, likelihood
 from twin.experiment import NEEDED, Limits, separate, sharpen
 from twin.finding import Experiment
 from twin.likelihood import Case, Point
@@ -132,9 +132,16 @@ def fitted(first: Case, recordings: Sequence[Recording], point: Point, *others: 
     added = [replace(in_mesh(c, point), reading_variance=first.reading_variance) for c in added]
     cases = [*identify.with_steps([first], point.structure), *added]
     starts = [{n: p.values.get(n, v) for n, v in point.values.items()} for p in (point, *others)]
-    climbs = [likelihood.climb(cases, point.structure, v, point.density, point.free, 8, 1.0) for v in starts]
-    best = min(climbs, key=lambda p: p.deviance)
-    return likelihood.fit(cases, point.structure, best.values, point.free, point.density)
+    tried = [explain.settle(cases, point.structure, v, {}, point.density) for v in starts]
+    return min(tried, key=lambda p: p.deviance)
+
+
+def smallest(first: Recording) -> tuple[list[Case], Point, Point]:
+    """The base model of a recording, roughly and as structures compete with it, the way the tool comes to it."""
+    structure = identify.base_structure()
+    cases, rough = identify.start([first], structure, {})
+    cases, fine = identify.polish(cases, identify.refine(cases, structure, rough, {}))
+    return cases, rough, explain.settle(cases, structure, fine.values, {}, explain.judged(cases, fine))
 
 
 # ---- the worst-known parameter ----
@@ -170,9 +177,7 @@ def parameter_trial(seed: int) -> Row | None:
     rng = np.random.default_rng([seed, 1])
     rig = draw_rig(rng)
     first = record(rig, [], paper(FIRST, rng), seed)
-    structure = identify.base_structure()
-    cases, rough = identify.start([first], structure, {})
-    point = identify.refine(cases, structure, rough, {})
+    cases, _, point = smallest(first)
     limits = given_limits(first)
     design = sharpen(point, cases, limits)
     if len(design.time) == 0:
@@ -205,11 +210,14 @@ def parameter_trial(seed: int) -> Row | None:
 
 def rivals(first: Recording, pair: tuple[str, str]) -> tuple[list[Case], dict[str, Point]]:
     """Both models of a pair as the tool fits them; one may be missing where a recording cannot show it."""
-    structure = identify.base_structure()
-    cases, rough = identify.start([first], structure, {})
-    fine = identify.refine(cases, structure, rough, {})
-    found = explain.fine_round(cases, fine, explain.coarse_round(cases, rough, pair), {})
+    cases, rough, base = smallest(first)
+    found = explain.compete(cases, base, rough, pair, {})
     return cases, {h.added[0]: h.point for h in found.rivals}
+
+
+def units(one: Point, other: Point) -> float:
+    """Log-likelihood by which one model leads the other, in units of what it is worth."""
+    return 0.5 * (other.deviance - one.deviance) / compare.worth([one, other])
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +232,7 @@ class Contest:
         """Log-likelihood by which the truth leads once both are refitted, from every start that is known."""
         (one, two), (a, b) = self.points, self.judges
         true, rival = fitted(self.first, second, one, two, a), fitted(self.first, second, two, one, b)
-        return 0.5 * (rival.deviance - true.deviance)
+        return units(true, rival)
 
 
 def verdict(contest: Contest, second: Recording) -> float:
@@ -249,7 +257,7 @@ def rivals_trial(pair: tuple[str, str], seed: int) -> Row | None:
         effect = draw_effect(np.random.default_rng(draw), pair[0], rig, float(size), FIRST)
         first = record(rig, [effect], signal, seed)
         cases, fits = rivals(first, pair)
-        if set(fits) == set(pair) and abs(fits[pair[1]].deviance - fits[pair[0]].deviance) < 2.0 * NEEDED:
+        if set(fits) == set(pair) and abs(units(fits[pair[0]], fits[pair[1]])) < NEEDED:
             break
     else:
         return None

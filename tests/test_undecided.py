@@ -17,7 +17,7 @@ from mujoco_rig import TURN, Concealed, draw_rig, simulate
 from twin import compare, extend, finding, phrases, report
 from twin.axis import BASE, Structure
 from twin.explain import Hypothesis, Round
-from twin.extend import CLOSE, Search, Swap
+from twin.extend import UNSURE, Search, Swap
 from twin.finding import Diagnosis
 from twin.likelihood import Point
 from twin.recording import Recording
@@ -79,8 +79,8 @@ def search(gap: float, *also: str) -> Search:
     two = point(1000.0 + gap, *also, "spring")
     more = point(1000.0 + 1.0, *also, "gravity", "coulomb_friction")
     rivals = (Hypothesis(("gravity",), one), Hypothesis(("coulomb_friction",), more), Hypothesis(("spring",), two))
-    swaps = (Swap("gravity", "spring", two),) if gap < CLOSE else ()
-    return Search(before, one, (Round(before, rivals, ()),), (), (point(3000.0, *also),), swaps)
+    swaps = (Swap("gravity", "spring", two),) if gap < UNSURE else ()
+    return Search(before, one, (Round(before, rivals, 1.0),), (), (point(3000.0, *also),), swaps)
 
 
 @pytest.mark.parametrize("also", [(), ("motor_lag",)])
@@ -91,7 +91,7 @@ def test_a_rival_takes_its_share_and_a_larger_model_none(also):
     assert odds["gravity"] == pytest.approx(0.8)
     assert extend._probabilities(search(1500.0, *also))[0]["gravity"] > 0.999
     assert extend._undecided(search(1500.0, *also)) == ()
-    (pair,) = extend._undecided(search(20.0, *also))
+    (pair,) = extend._undecided(search(0.5 * UNSURE, *also))
     assert pair.ids == ("gravity", "spring") and sum(pair.probabilities) == pytest.approx(1.0)
 
 

@@ -29,13 +29,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import kernel, likelihood
+from twin import compare, kernel, likelihood
 from twin.axis import EVERYTHING, Structure
-from twin.compare import TEMPER
 from twin.effects.catalogue import EFFECTS
 from twin.errors import BadInput
 from twin.finding import Experiment
@@ -47,8 +47,8 @@ FloatArray = NDArray[np.float64]
 Piece = tuple[float, float, float]
 Signal = tuple[Piece, ...]
 
-#: Log-likelihood that a verdict of 99 to 1 takes.
-NEEDED = TEMPER * math.log(99.0)
+#: Log-likelihood that a verdict of 99 to 1 takes, in units of what it is worth.
+NEEDED = compare.TEMPER * math.log(99.0)
 #: Relative standard error at which a parameter counts as known, and the one that a model brings to its first recording.
 _KNOWN, _UNKNOWN = 0.02, 10.0
 _LONGEST = 30.0  # s, where the user sets no limit
@@ -144,12 +144,18 @@ class _Pair:
     rival: Point
     values: dict[str, float]
 
+    @cached_property
+    def unit(self) -> float:
+        """What deviance counts for between the two, as in a verdict."""
+        return compare.worth([self.truth, self.rival])
+
     @property
     def before(self) -> _Evidence:
         """What the present recordings say of the rival's values: a parabola in torques."""
         moved, bend = _as_torques(self.rival, self.values)
-        pull = bend.T @ self.rival.normal
-        return _Evidence(float(moved @ self.rival.normal @ moved), -pull @ moved, pull @ bend)
+        normal = self.rival.normal / self.unit
+        pull = bend.T @ normal
+        return _Evidence(float(moved @ normal @ moved), -pull @ moved, pull @ bend)
 
 
 def _as_torques(point: Point, values: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
@@ -425,7 +431,7 @@ def _evidence(seen: _Seen, pair: _Pair) -> list[_Evidence]:
     """What the rival's predictor makes of what the truth would have us read, up to each check."""
     rival = pair.rival
     run = likelihood.innovations(seen.case, rival.structure, pair.values, rival.density, rival.free)
-    deviation = np.sqrt(run.variance * max(rival.scale, 1e-12) * seen.louder)
+    deviation = np.sqrt(run.variance * max(rival.scale, 1e-12) * seen.louder * pair.unit)
     z = run.error / deviation
     # Errors beyond the robust limit count linearly, as they will in the fit.
     weight = np.sqrt(np.minimum(1.0, likelihood.ROBUST_LIMIT / np.maximum(np.abs(z), 1e-300)))

@@ -29,7 +29,7 @@ TRAINING = 0.7
 #: More effects than this at once are not looked for.
 MOST = 4
 #: Criteria that differ by less leave two explanations undecided: 88 % to 12 %.
-CLOSE = 4.0 * compare.TEMPER
+UNSURE = 4.0 * compare.TEMPER
 _TIMED = ("load_change", "thermal_fade", "periodic_disturbance")
 
 
@@ -163,7 +163,7 @@ def _swapped(cases: Sequence[Case], last: Point, rounds: Sequence[Round], held: 
     out = []
     for effect in last.structure.named:
         for h, behind in _contest(rounds, last.structure, effect):
-            if behind < CLOSE and explain.plausible(cases, h.point):
+            if behind < UNSURE and explain.plausible(cases, h.point):
                 rest = last.structure.without(effect, *_orphans(last.structure, effect))
                 point, other = h.point, rest.with_(*h.added)
                 if other.named != point.structure.named:
@@ -322,7 +322,7 @@ def _undecided(found: Search) -> tuple[Undecided, ...]:
     out = []
     for swap in found.swaps:
         one, two = swap.effect, swap.rival
-        if _ahead(found.last, swap.point) < CLOSE:
+        if _ahead(found.last, swap.point) < UNSURE:
             text = EFFECTS[one].confused_with.get(two) or EFFECTS[two].confused_with.get(one)
             text = text or "a richer recording: several amplitudes, coast-downs, slow ramps"
             out.append(Undecided((one, two), (named[one], dict(ranking)[two]), text))
@@ -340,7 +340,7 @@ def _nameless(found: Search, left: unknown.Leftover) -> Point:
 def _next(found: Search) -> Experiment:
     """The input that would tell the closest rivals apart, or fix what is known worst."""
     cases = identify.with_steps(found.cases, found.last.structure)
-    close = [w.point for w in found.swaps if _ahead(found.last, w.point) < CLOSE]
+    close = [w.point for w in found.swaps if _ahead(found.last, w.point) < UNSURE]
     near = sorted(close, key=lambda p: _ahead(found.last, p))[:1]
     try:
         return experiment.separate([found.last, *near], cases)
