@@ -62,7 +62,8 @@ def test_what_the_recording_cannot_separate_is_shown_as_two(effect, rival, seed,
     assert named.id == pair.ids[0] and named.probability == pair.probabilities[0] < 0.9
     assert dict(found.ranking)[pair.ids[1]] == pair.probabilities[1] > 0.1
     assert sum(p for _, p in found.ranking) <= 1.0 + 1e-9
-    assert set(found.experiment.about) == set(pair.ids) and len(found.experiment.time)
+    # Where so little travel leaves no input that would decide, it says so.
+    assert all(phrases.title(i) in found.experiment.why for i in pair.ids)
     said = phrases.headline(found)
     assert "cannot tell which" in said and all(phrases.title(i) in said for i in pair.ids)
 
