@@ -28,8 +28,8 @@ Progress = Callable[[str, float], None]
 TRAINING = 0.7
 #: More effects than this at once are not looked for.
 MOST = 4
-#: Criteria that differ by less leave two explanations undecided: 88 % to 12 %.
-UNSURE = 4.0 * compare.TEMPER
+#: Criteria that differ by less leave two explanations undecided: 73 % to 27 %.
+UNSURE = 2.0 * compare.TEMPER
 _TIMED = ("load_change", "thermal_fade", "periodic_disturbance")
 
 

@@ -6,6 +6,9 @@ every unmodelled torque and then weigh it twice over; short windows would throw 
 autoregressive noise model would absorb the very misfit that is looked for. With torque noise as the only freedom
 the predictor forgets at the rate that the recording itself asks for.
 
+The filter knows whether motor and link touch. In the gap each is moved by its own half of the noise, and nobody sees
+the motor; when they meet, what was known of their mass centre is what is known of both.
+
 The maximum is found by Gauss-Newton steps on exact derivatives, with damping, bounds and a robust loss.
 """
 
