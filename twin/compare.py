@@ -20,7 +20,7 @@ PRICE = 3.0
 #: scripts/blind_trial.py).
 LEAST = 35.0
 #: Units that count as one of log-odds times two: a model that errs a little makes likelihoods too sure.
-TEMPER = 8.0
+TEMPER = 5.0
 
 
 def worth(points: Sequence[Point]) -> float:

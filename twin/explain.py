@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from twin import compare, identify, likelihood, screening
 from twin.axis import Structure
+from twin.effects.catalogue import EFFECTS
 from twin.likelihood import Case, Point
 from twin.screening import Entry
 
@@ -105,6 +106,16 @@ def deepen(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Po
     return min(point, other, key=lambda p: p.deviance)
 
 
+def sharpened(cases: Sequence[Case], point: Point) -> Point:
+    """The point, with a longer memory where the recording asks for one: the model then is right for longer."""
+    mine = identify.with_steps(cases, point.structure)
+    density = likelihood.best_density(mine, point.structure, point.values, around=point.density)
+    if density > 0.8 * point.density:
+        return point
+    found = likelihood.fit(mine, point.structure, point.values, point.free, density)
+    return found if found.density < point.density else point
+
+
 def plausible(cases: Sequence[Case], point: Point) -> bool:
     """Whether the fit still is what its name says.
 
@@ -152,6 +163,25 @@ def _from_afar(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float], 
     return Hypothesis(h.added, settle(cases, structure, begun, held, density))
 
 
+def _alike(effect: str, winner: Hypothesis) -> bool:
+    """Whether the effect is one that the winner is confused with."""
+    other = winner.added[0]
+    return effect in EFFECTS[other].confused_with or other in EFFECTS[effect].confused_with
+
+
+def _instead(
+    cases: Sequence[Case], winner: Hypothesis, structure: Structure, effect: str, held: Mapping[str, float]
+) -> Hypothesis:
+    """The structure with the effect, from where the winner stands."""
+    longer, point = identify.with_teeth(structure.with_(effect)), winner.point
+    mine = identify.with_steps(cases, longer)
+    known = {p.name: point.values.get(p.name, p.start) for p in longer.parameters}
+    own = {n: v for n, v in screening.neutral(effect).items() if n not in point.values}
+    trials = [{**known, **own, **t} for t in screening.grids(mine, point.structure, point.values)[effect]]
+    begun = min(trials, key=lambda v: likelihood.evaluate(mine, longer, v, point.density).deviance)
+    return Hypothesis((effect,), settle(cases, longer, begun, held, point.density))
+
+
 def compete(
     cases: Sequence[Case],
     before: Point,
@@ -181,6 +211,10 @@ def compete(
             if smaller.deviance > before.deviance - compare.PRICE * unit:
                 break
             before = smaller
+        # What is easily mistaken for the best is tried in its place: the model without either may have gone astray.
+        masks = [e for e in screening.offered(cases, candidates) if (e,) not in best and _alike(e, leaders[0])]
+        keep(list(pool.map(lambda e: _instead(cases, leaders[0], structure, e, held), masks)))
+        leaders = sorted(best.values(), key=lambda h: h.deviance)[:2]
         # Those that are not far behind the best may only have ended in a lesser valley.
         bar = before.deviance - CLOSE * (before.deviance - leaders[0].deviance)
         close = [h for h in sorted(best.values(), key=lambda h: h.deviance)[:NEAR] if h.deviance < bar]

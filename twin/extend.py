@@ -388,18 +388,20 @@ def diagnose(
         tell("drawing a term for what has no name", 0.85)
         found = replace(found, last=_nameless(found, left[0]), rounds=found.rounds[:1], lesser=(), swaps=())
         lap("term without a name")
-    before = identify.to_model(found.cases, found.first, train, held)
-    after = identify.to_model(found.cases, found.last, train, held)
+    tell("fitting both models to the end", 0.87)
+    first_point, last_point = (explain.sharpened(found.cases, p) for p in (found.first, found.last))
+    before = identify.to_model(found.cases, first_point, train, held)
+    after = identify.to_model(found.cases, last_point, train, held)
     missing = [
         locate.missing_torque(identify.with_steps([case], p.structure)[0], p.structure, p.values)
-        for p in (found.first, found.last)
+        for p in (first_point, last_point)
     ]
     shapes = [tuple(locate.shapes(m)) for m in missing]
     lap("locate")
     tell("checking on held-out data through the FMU", 0.9)
     whole = [(r, 0.0) for r in train]
     shown = [*traces(before, after, whole, "train", closed), *traces(before, after, held_out, "holdout", closed)]
-    white = [_white(identify.with_steps(found.cases, p.structure), p) for p in (found.first, found.last)]
+    white = [_white(identify.with_steps(found.cases, p.structure), p) for p in (first_point, last_point)]
     fit = {
         role: {
             when: _fitness([t for t in shown if t.role == role], when, white[i] if role == "train" else math.nan)

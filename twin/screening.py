@@ -170,7 +170,7 @@ class Start:
         return {**self.values, **_inside({n: self.values[n] + share * s for n, s in self.steps.items()})}
 
 
-def _neutral(effect: str) -> dict[str, float]:
+def neutral(effect: str) -> dict[str, float]:
     return {
         p.name: (p.neutral if p.neutral is not None else p.start)
         for i in (*EFFECTS[effect].includes, effect)
@@ -203,10 +203,10 @@ def _nested_starts(
     structure = extended(base.structure, effect)
     others = [EFFECTS[i].screen for i in EFFECTS[effect].includes if i not in base.structure]
     companions = [s.gain for s in others if s is not None]
-    neutral = {k: v for k, v in _neutral(effect).items() if k not in base.values}
+    unmoved = {k: v for k, v in neutral(effect).items() if k not in base.values}
     starts = []
     for trial in trials:
-        values = {**base.values, **neutral, **trial}
+        values = {**base.values, **unmoved, **trial}
         free = (*base.free, screen.gain, *companions)
         if screen.pair is None:
             point = likelihood.evaluate(cases, structure, values, base.density, free)
@@ -256,8 +256,8 @@ def _direct_starts(
 ) -> list[Start]:
     """Starts of a candidate that is tried as it is; what the rest of the model would regain is promised too."""
     structure = extended(base.structure, effect)
-    neutral = {k: v for k, v in _neutral(effect).items() if k not in base.values}
-    places = [{**base.values, **neutral, **_inside(t)} for t in trials]
+    unmoved = {k: v for k, v in neutral(effect).items() if k not in base.values}
+    places = [{**base.values, **unmoved, **_inside(t)} for t in trials]
     if len(places) <= _CLOSELY:
         points = [likelihood.evaluate(cases, structure, values, base.density, free) for values in places]
     else:
