@@ -119,7 +119,8 @@ def sharpened(cases: Sequence[Case], point: Point) -> Point:
 def plausible(cases: Sequence[Case], point: Point) -> bool:
     """Whether the fit still is what its name says.
 
-    A ripple has repeated, a disturbance comes from outside, a spring is more than a constant.
+    A ripple has repeated, a disturbance comes from outside, a spring is more than a constant, an elastic joint has a
+    motor on its other side.
     """
     places = np.concatenate([c.recording.output[np.isfinite(c.recording.output)] for c in cases])
     turns = point.values.get("ripple_order", math.inf) * float(np.ptp(places)) / (2.0 * math.pi)
@@ -128,7 +129,9 @@ def plausible(cases: Sequence[Case], point: Point) -> bool:
     outside = not math.isfinite(frequency) or all(_follows(c, point.values) < _OWN for c in cases)
     middle = 0.5 * float(places.max() + places.min())
     varies = abs(point.values.get("spring_rest", middle) - middle) <= 2.0 * float(np.ptp(places))
-    return turns >= 2.0 and cycles >= 2.0 and outside and varies
+    least, _ = likelihood.bounds_of("motor_share")
+    both = "joint_frequency" not in point.values or point.values["motor_share"] > 1.5 * least
+    return turns >= 2.0 and cycles >= 2.0 and outside and varies and both
 
 
 def _follows(case: Case, values: Mapping[str, float]) -> float:

@@ -165,10 +165,10 @@ def _swapped(cases: Sequence[Case], last: Point, rounds: Sequence[Round], held: 
         for h, behind in _contest(rounds, last.structure, effect):
             if behind < UNSURE and explain.plausible(cases, h.point):
                 rest = last.structure.without(effect, *_orphans(last.structure, effect))
-                point, other = h.point, rest.with_(*h.added)
-                if other.named != point.structure.named:
-                    values = {**point.values, **last.values}
-                    point = explain.settle(cases, other, values, held, last.density)
+                own, other = h.point, rest.with_(*h.added)
+                starts = ({**own.values, **last.values}, {**last.values, **own.values})
+                tried = [explain.settle(cases, other, values, held, last.density) for values in starts]
+                point = explain.deepen(cases, min(tried, key=lambda p: p.deviance), held)
                 out.append(Swap(effect, h.added[0], point))
     return out
 
