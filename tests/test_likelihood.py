@@ -83,3 +83,11 @@ def test_values_so_wild_that_the_model_overflows_are_refused_without_a_word() ->
         assert "cannot run" in likelihood.climb([case], STRUCTURE, wild[0], 1.0, FREE).says
         untraced = Point(STRUCTURE, VALUES, 1.0, FREE[:2], 0.0, 1.0, np.diag([4.0, 0.0]), np.zeros(2), np.eye(2))
         assert math.isinf(untraced.covariance[1, 1]) and untraced.unit == 1.0
+
+
+def test_a_model_that_no_command_moves_is_refused() -> None:
+    """Far from the truth it would be the likeliest: a slow axis is followed best by a filter that expects nothing."""
+    case = made(duration=5.0)
+    wide = {**VALUES, "dead_band_forward": 90.0, "dead_band_reverse": 90.0}
+    assert likelihood.evaluate([case], STRUCTURE, wide, 1.0).deviance == np.inf
+    assert np.isfinite(likelihood.evaluate([case], STRUCTURE, {**wide, "dead_band_reverse": 50.0}, 1.0).deviance)

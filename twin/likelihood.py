@@ -274,6 +274,12 @@ def _scale_of(z2: FloatArray) -> float:
 
 
 @_unheeded()
+def _moves(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+    """Whether some command is beyond the dead-band: a model that nothing moves follows slow readings best of all."""
+    forward, reverse = values.get("dead_band_forward", 0.0), values.get("dead_band_reverse", 0.0)
+    return any(c.drive.closed or c.drive.command.max() >= forward or -c.drive.command.min() >= reverse for c in cases)
+
+
 def evaluate(
     cases: Sequence[Case],
     structure: Structure,
@@ -284,12 +290,14 @@ def evaluate(
     stretch: float = _STRETCH,
 ) -> Point:
     """Deviance, gradient and information at these values; errors further apart than `stretch` (s) are independent."""
+    n = len(free)
+    lost = Point(structure, dict(values), density, free, math.inf, math.inf, np.eye(n), np.zeros(n), np.eye(n))
+    if not _moves(cases, values):
+        return lost
     # Slopes take the memory: of long recordings the errors come first, then the slopes piece by piece.
     long = run is None and sum(len(c.drive.time) for c in cases) > AT_ONCE
     seen = () if long else free
     results = [innovations(c, structure, values, density, seen) for c in cases] if run is None else run()
-    n = len(free)
-    lost = Point(structure, dict(values), density, free, math.inf, math.inf, np.eye(n), np.zeros(n), np.eye(n))
     z2s, logs, count = [], 0.0, 0
     for r in results:
         ok = np.isfinite(r.error)

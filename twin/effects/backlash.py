@@ -11,7 +11,7 @@ EFFECT = Effect(
     station="transmission",
     slot="structure",
     parameters=(
-        Parameter("backlash_gap", "{x}", "whole width of the gap, at the link", 0.0, 0.0, start=0.01),
+        Parameter("backlash_gap", "{x}", "whole width of the gap, at the link", 0.0, 0.0, 0.5, 0.01),
         Parameter(
             "motor_share", "1", "the motor's share of the inertia, seen at the link", None, 0.02, 0.98, 0.25
         ),
