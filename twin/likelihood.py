@@ -273,13 +273,13 @@ def _scale_of(z2: FloatArray) -> float:
     return scale
 
 
-@_unheeded()
 def _moves(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     """Whether some command is beyond the dead-band: a model that nothing moves follows slow readings best of all."""
     forward, reverse = values.get("dead_band_forward", 0.0), values.get("dead_band_reverse", 0.0)
     return any(c.drive.closed or c.drive.command.max() >= forward or -c.drive.command.min() >= reverse for c in cases)
 
 
+@_unheeded()
 def evaluate(
     cases: Sequence[Case],
     structure: Structure,
