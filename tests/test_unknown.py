@@ -148,7 +148,6 @@ def test_verdicts():
     assert unknown.verdict(True, much, little) == "explained"
     assert unknown.verdict(True, much, left(0.3, 1e-9, 0.3)) == "partly_explained"
     assert unknown.verdict(True, much, left(0.5, 1e-9, 0.9)) == "unexplained"
-    assert unknown.verdict(True, much, left(0.3, 1e-9, 0.3), outdone=True) == "unexplained"
     assert unknown.verdict(False, much, much) == "unexplained"
 
 

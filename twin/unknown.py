@@ -231,16 +231,15 @@ def is_left(found: Leftover) -> bool:
     return found.p_value < SURE and found.share >= LARGE
 
 
-def verdict(named: bool, before: Leftover, after: Leftover, outdone: bool = False) -> str:
+def verdict(named: bool, before: Leftover, after: Leftover) -> str:
     """The contract's verdict, from what is left of the first model and of the last; `named`: effects were found.
 
-    A name that leaves most of the missing torque where it was, or that a shape without a name beats in its place
-    (`outdone`: by the likelihood, each parameter paid for), describes something else: that is `unexplained`.
+    A name that leaves most of the missing torque where it was describes something else: that is `unexplained`.
     """
     if not is_left(after):
         return "explained" if named else "nothing_missing"
     removed = 1.0 - (after.size / max(before.size, 1e-300)) ** 2
-    return "partly_explained" if named and removed >= REMOVED and not outdone else "unexplained"
+    return "partly_explained" if named and removed >= REMOVED else "unexplained"
 
 
 # ---- the term ----
