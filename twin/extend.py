@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin import compare, experiment, explain, identify, likelihood, locate, package, unknown
+from twin import compare, experiment, explain, identify, likelihood, locate, package, screening, unknown
 from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS
 from twin.errors import BadInput
@@ -109,7 +109,7 @@ def search(
     far = explain.contest(cases, rough, [c for c in candidates if c not in first])
     rounds: list[Round] = []
     for n in range(MOST):
-        open_ = [c for c in candidates if c not in best.structure]
+        open_ = [c for c in screening.offered(cases, candidates) if c not in best.structure]
         if not open_:
             break
         tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)
