@@ -65,9 +65,8 @@ def contest(cases: Sequence[Case], base: Point, candidates: Sequence[str]) -> li
     mine = identify.with_steps(cases, base.structure)
     trials = screening.grids(mine, base.structure, base.values)
     with ThreadPoolExecutor(2) as pool:
-        offered = screening.offered(mine, candidates)
         entries = sorted(
-            pool.map(lambda e: screening.enter(mine, base, e, trials[e]), offered), key=lambda e: -e.promise
+            pool.map(lambda e: screening.enter(mine, base, e, trials[e]), candidates), key=lambda e: -e.promise
         )
         fits = list(pool.map(lambda e: _climb(mine, base, e), entries[:SURVIVORS]))
     return sorted(fits, key=lambda h: h.deviance)
@@ -94,7 +93,7 @@ def settle(
     structure = identify.with_teeth(structure)
     mine = identify.with_steps(cases, structure)
     free = tuple(n for n in identify.free_parameters(structure) if n not in held)
-    full = {p.name: values.get(p.name, p.start) for p in structure.parameters} | dict(held)
+    full = identify.completed(structure, values) | dict(held)
     return likelihood.climb(mine, structure, full, density, free, tolerance=0.2)
 
 
@@ -161,7 +160,7 @@ def _finish(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float], den
 def _from_afar(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float], density: float) -> Hypothesis:
     # Teeth looked for anew: what the smaller model took for teeth may be the effect.
     structure = identify.with_teeth(h.point.structure)
-    values = {p.name: h.point.values.get(p.name, p.start) for p in structure.parameters}
+    values = identify.completed(structure, h.point.values)
     begun = identify.likeliest_teeth(identify.with_steps(cases, structure), structure, values, density)
     return Hypothesis(h.added, settle(cases, structure, begun, held, density))
 
@@ -178,7 +177,7 @@ def _instead(
     """The structure with the effect, from where the winner stands."""
     longer, point = identify.with_teeth(structure.with_(effect)), winner.point
     mine = identify.with_steps(cases, longer)
-    known = {p.name: point.values.get(p.name, p.start) for p in longer.parameters}
+    known = identify.completed(longer, point.values)
     own = {n: v for n, v in screening.neutral(effect).items() if n not in point.values}
     trials = [{**known, **own, **t} for t in screening.grids(mine, point.structure, point.values)[effect]]
     begun = min(trials, key=lambda v: likelihood.evaluate(mine, longer, v, point.density).deviance)
@@ -215,7 +214,7 @@ def compete(
                 break
             before = smaller
         # What is easily mistaken for the best is tried in its place: the model without either may have gone astray.
-        masks = [e for e in screening.offered(cases, candidates) if (e,) not in best and _alike(e, leaders[0])]
+        masks = [e for e in candidates if (e,) not in best and _alike(e, leaders[0])]
         keep(list(pool.map(lambda e: _instead(cases, leaders[0], structure, e, held), masks)))
         leaders = sorted(best.values(), key=lambda h: h.deviance)[:2]
         # Those that are not far behind the best may only have ended in a lesser valley.

@@ -106,10 +106,11 @@ def search(
     cases, fine = identify.polish(cases, identify.refine(cases, identify.with_teeth(first), rough, held))
     best = explain.settle(cases, first, fine.values, held, explain.judged(cases, fine))
     smallest = best
+    candidates = screening.offered(cases, candidates)
     far = explain.contest(cases, rough, [c for c in candidates if c not in first])
     rounds: list[Round] = []
     for n in range(MOST):
-        open_ = [c for c in screening.offered(cases, candidates) if c not in best.structure]
+        open_ = [c for c in candidates if c not in best.structure]
         if not open_:
             break
         tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)

@@ -114,6 +114,11 @@ def with_teeth(structure: Structure) -> Structure:
     return structure.with_("tooth_compliance")
 
 
+def completed(structure: Structure, values: Mapping[str, float]) -> dict[str, float]:
+    """Values of all the structure's parameters and of no others: those given, and the usual start of the rest."""
+    return {p.name: values.get(p.name, p.start) for p in structure.parameters}
+
+
 def with_steps(cases: Sequence[Case], structure: Structure) -> list[Case]:
     """The cases with the internal step that the structure needs."""
     longest = 0.002 / structure.substeps * (1.0 + 1e-9)
@@ -162,7 +167,7 @@ def likeliest_teeth(
 
 def refine(cases: Sequence[Case], structure: Structure, coarse_point: Point, held: Mapping[str, float]) -> Point:
     """The maximum of the full likelihood from a coarse point, teeth included where the structure has them."""
-    values = {p.name: coarse_point.values.get(p.name, p.start) for p in structure.parameters}
+    values = completed(structure, coarse_point.values)
     mine = with_steps(cases, structure)
     free = tuple(n for n in free_parameters(structure) if n not in held)
     if "tooth_compliance" not in structure:

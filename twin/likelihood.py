@@ -62,11 +62,6 @@ class Case:
     start: tuple[float, float]  # position and velocity
     free: NDArray[np.bool_] | None = None  # (N,) where the model runs freely and only that is judged; None: nowhere
 
-    @property
-    def count(self) -> int:
-        """Readings that take part."""
-        return int(np.isfinite(self.drive.measured).sum())
-
 
 def _reading_variance(recording: Recording) -> float:
     """Variance of a reading: a twelfth of a count squared, or what third differences say where nothing is counted."""

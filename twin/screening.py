@@ -171,6 +171,7 @@ class Start:
 
 
 def neutral(effect: str) -> dict[str, float]:
+    """Values at which the effect and what it brings along do nothing; the usual start where there is none."""
     return {
         p.name: (p.neutral if p.neutral is not None else p.start)
         for i in (*EFFECTS[effect].includes, effect)
@@ -239,7 +240,7 @@ def _nested_starts(
 
 def _inside(values: Mapping[str, float]) -> dict[str, float]:
     """Values moved inside their parameters' bounds."""
-    bounds = {p.name: (p.lower, p.upper) for e in EFFECTS.values() for p in e.parameters}
+    bounds = {n: likelihood.bounds_of(n) for n in values}
     return {n: float(min(max(v, bounds[n][0]), bounds[n][1])) for n, v in values.items()}
 
 
