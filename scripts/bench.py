@@ -97,6 +97,8 @@ def bench_identify() -> None:
     from twin.recording import load
 
     recordings, rig = load([SHIPPED], SHIPPED.with_name("rig.toml"))
+    reading = best(lambda: load([SHIPPED], SHIPPED.with_name("rig.toml")), 3)
+    print(f"reading and looking for faults, {len(recordings[0].time)} samples: {1e3 * reading:.0f} ms")
     fitting.compile_kernel(lambda sentence, share: None)
     bare = bare_loop(recordings[0].input)
     first = fitting.first_structure(rig, (), ())

@@ -24,8 +24,23 @@ def point(normal: np.ndarray, scatter: np.ndarray) -> Point:
 def test_readings_that_repeat_each_other_count_once(repeated):
     """Every reading given n times over: n times the information, n squared times the scatter of the slopes."""
     once = np.array([[4.0, 1.0, 0.0], [1.0, 2.0, 0.3], [0.0, 0.3, 5.0]])
-    found = compare.worth([point(once, once), point(repeated * once, repeated**2 * once)])
+    found = compare.worth([point(repeated * once, repeated**2 * once)])
     assert found == pytest.approx(repeated)
+
+
+def test_what_a_model_lacks_does_not_speak_against_itself():
+    """The slopes of a model that errs scatter for what it lacks; the one that lacks less knows what noise does."""
+    once = np.eye(3)
+    lacking, complete = point(once, 90.0 * once), replace(point(once, 4.0 * once), deviance=-10.0)
+    assert compare.worth([lacking, complete]) == pytest.approx(4.0)
+
+
+def test_slopes_that_ran_away_say_nothing():
+    """An information far beyond what the gradient's scatter bears out is that of chaos."""
+    once = np.eye(3)
+    wild = replace(point(once, 1e-3 * once), deviance=-10.0)
+    assert wild.chaotic and not point(once, once).chaotic
+    assert compare.worth([wild, point(once, 4.0 * once)]) == pytest.approx(4.0)
 
 
 def test_what_leaves_no_trace_has_no_say():

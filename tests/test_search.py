@@ -1,11 +1,14 @@
-"""A search whose only candidates the recording cannot show ends with the first model."""
+"""The search: what is offered, what a spring is, and what counts as showing."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from twin import extend, kernel, likelihood
+from twin import explain, extend, identify, kernel, likelihood
 from twin.axis import Structure
+from twin.effects.catalogue import BASE
 from twin.recording import Recording
 
 
@@ -20,3 +23,39 @@ def test_candidates_that_a_linear_axis_has_not_are_not_tried() -> None:
     found = extend.search([sled], structure, {}, ("gravity", "encoder_eccentricity"))
     assert found.rounds == () and found.last.structure == structure
     assert abs(found.last.values["input_gain"] - 0.02) < 1e-4
+
+
+def test_an_elastic_joint_and_teeth_are_one_spring() -> None:
+    """Where one takes the other's place it is as stiff, within its bounds."""
+    joint = {"joint_frequency": 30.0, "joint_damping": 0.2}
+    base = identify.with_teeth(Structure.of(BASE))
+    for frequency, teeth in ((38.0, 40.0), (12.0, 40.0), (39.9, 40.0)):
+        found = identify.completed(base, joint | {"joint_frequency": frequency})
+        assert (found["tooth_frequency"], found["tooth_damping"]) == (teeth, 0.2)
+    known = {"tooth_frequency": 90.0, "tooth_damping": 0.1}
+    assert identify.completed(base, joint | known)["tooth_frequency"] == 90.0
+    _, hardest_joint = likelihood.bounds_of("joint_frequency")
+    softest_teeth, _ = likelihood.bounds_of("tooth_frequency")
+    assert hardest_joint == softest_teeth
+
+
+def test_what_only_a_long_memory_prefers_does_not_show(monkeypatch) -> None:
+    """A gain that a filter of a shorter memory takes back is that of bounces, not of physics."""
+    case = likelihood.prepare(
+        Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
+    )
+    memory = 0.1
+    density = likelihood.density_of(case, memory)
+    point = likelihood.Point(Structure.of(BASE), {}, density, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    larger = replace(point, values={"gain": 1.0})
+
+    def judged(better_until: float):
+        def climb(cases, structure, values, density, free, rounds, tolerance):
+            shorter = memory / likelihood.memory_of(case, density)
+            return replace(point, deviance=0.0 if not values else -1.0 if shorter < better_until else 1.0)
+
+        monkeypatch.setattr(likelihood, "climb", climb)
+        return explain.shows([case], point, larger)
+
+    assert judged(8.0)
+    assert not judged(3.0) and not judged(1.5)

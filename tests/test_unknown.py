@@ -137,6 +137,20 @@ def test_bump_over_position_is_found_and_drawn():
     assert after.size < 0.4 * before.size
 
 
+def test_a_wave_that_only_one_direction_of_push_knows_is_found():
+    """Cogging while the duty is positive, eight times a turn, on a travel of less than a turn and a half."""
+    case, point = fitted("nothing")
+    missing = locate.missing_torque(case, point.structure, point.values)
+    rng = np.random.default_rng(5)
+    place = 3.5 * 0.5 * (1.0 + np.sin(0.7 * missing.time))
+    cogging = np.where(missing.command > 0.0, np.sin(8.0 * place), 0.0)
+    noise = np.convolve(rng.standard_normal(len(place) + 40), np.ones(20) / 20.0, "same")[20:-20]
+    found = unknown.examine(replace(missing, position=place, torque=cogging + noise))
+    assert unknown.is_left(found)
+    assert found.table == "wave 8, push"
+    assert found.variables == ("position", "input")
+
+
 def left(share: float, p_value: float, size: float) -> unknown.Leftover:
     return unknown.Leftover(share, p_value, ("position",), "position", size, ())
 

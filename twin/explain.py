@@ -36,6 +36,8 @@ NEAR, FAR = 4, 2
 CLOSE = 0.4
 #: So often at most does a round begin again from a smaller model that its rivals have shown a better place.
 AGAIN = 3
+#: What is there shows to filters that forget so many times as fast, too.
+FASTER = (2.0, 4.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +76,15 @@ def contest(cases: Sequence[Case], base: Point, candidates: Sequence[str]) -> li
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One addition: the model before, the rivals (the best first), and what a unit of deviance is worth among them."""
+    """One addition: the model before, the rivals (the best first), and what a unit of deviance is worth among them.
+
+    `won` says whether the first of the rivals has earned its place.
+    """
 
     before: Point
     rivals: tuple[Hypothesis, ...]
     unit: float
+    won: bool = True
 
 
 def judged(cases: Sequence[Case], point: Point) -> float:
@@ -133,6 +139,28 @@ def plausible(cases: Sequence[Case], point: Point) -> bool:
     return turns >= 2.0 and cycles >= 2.0 and outside and varies and both
 
 
+def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
+    """Whether filters that forget faster prefer the larger model, too, both adapted to them.
+
+    A light motor that rattles in its gap bounces as no model foresees, and a filter that trusts the model longer than
+    a bounce rewards whatever moves the bounces to where they happened to be. A shorter memory asks for the same
+    physics and is not led astray so far.
+    """
+    memory = likelihood.memory_of(cases[0], before.density)
+    return all(_prefers(cases, before, after, likelihood.density_of(cases[0], memory / times)) for times in FASTER)
+
+
+def _prefers(cases: Sequence[Case], before: Point, after: Point, density: float) -> bool:
+    def adapted(point: Point) -> float:
+        mine = identify.with_steps(cases, point.structure)
+        found = likelihood.climb(mine, point.structure, point.values, density, point.free, rounds=4, tolerance=1.0)
+        return found.deviance
+
+    with ThreadPoolExecutor(2) as pool:
+        one, other = pool.map(adapted, (before, after))
+    return other < one
+
+
 def _follows(case: Case, values: Mapping[str, float]) -> float:
     """The share of a periodic disturbance's wave that position and direction of motion predict along a recording.
 
@@ -157,12 +185,22 @@ def _finish(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float], den
     return Hypothesis(h.added, settle(cases, h.point.structure, h.point.values, held, density))
 
 
-def _from_afar(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float], density: float) -> Hypothesis:
-    # Teeth looked for anew: what the smaller model took for teeth may be the effect.
-    structure = identify.with_teeth(h.point.structure)
-    values = identify.completed(structure, h.point.values)
-    begun = identify.likeliest_teeth(identify.with_steps(cases, structure), structure, values, density)
-    return Hypothesis(h.added, settle(cases, structure, begun, held, density))
+def from_afar(
+    cases: Sequence[Case], far: Sequence[Hypothesis], held: Mapping[str, float], density: float
+) -> list[Hypothesis]:
+    """The most promising of what was seen from a coarse model, fitted in full.
+
+    Teeth are looked for anew: what the smaller model took for teeth may be the effect.
+    """
+
+    def fitted(h: Hypothesis) -> Hypothesis:
+        structure = identify.with_teeth(h.point.structure)
+        values = identify.completed(structure, h.point.values)
+        begun = identify.likeliest_teeth(identify.with_steps(cases, structure), structure, values, density)
+        return Hypothesis(h.added, settle(cases, structure, begun, held, density))
+
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(fitted, far[:FAR]))
 
 
 def _alike(effect: str, winner: Hypothesis) -> bool:
@@ -187,11 +225,14 @@ def _instead(
 def compete(
     cases: Sequence[Case],
     before: Point,
-    far: Sequence[Hypothesis],
+    known: Sequence[Hypothesis],
     candidates: Sequence[str],
     held: Mapping[str, float],
 ) -> Round:
-    """One round: fit the candidates that promise most, and let the smaller model learn from the best of them."""
+    """One round: fit the candidates that promise most, and let the smaller model learn from the best of them.
+
+    `known` are rivals that have been fitted already.
+    """
     density, structure = before.density, before.structure
     best: dict[tuple[str, ...], Hypothesis] = {}
 
@@ -199,8 +240,8 @@ def compete(
         for h in found:
             best[h.added] = min(best.get(h.added, h), h, key=lambda o: o.deviance)
 
+    keep(known)
     with ThreadPoolExecutor(2) as pool:
-        keep(list(pool.map(lambda h: _from_afar(cases, h, held, density), far[:FAR])))
         for _ in range(AGAIN):
             near = contest(cases, before, candidates)[:NEAR]
             keep(list(pool.map(lambda h: _finish(cases, h, held, density), near)))
@@ -222,4 +263,8 @@ def compete(
         close = [h for h in sorted(best.values(), key=lambda h: h.deviance)[:NEAR] if h.deviance < bar]
         keep(list(pool.map(lambda h: Hypothesis(h.added, deepen(cases, h.point, held)), close)))
     rivals = sorted(best.values(), key=lambda h: (not plausible(cases, h.point), compare.criterion(h.point, unit)))
-    return Round(before, tuple(rivals), compare.worth([before, rivals[0].point]))
+    earnest = (h for h in rivals if plausible(cases, h.point) and compare.earns(before, h.point))
+    winner = next((h for h in earnest if shows(cases, before, h.point)), None)
+    first = rivals[0] if winner is None else winner
+    rivals = [first, *(h for h in rivals if h is not first)]
+    return Round(before, tuple(rivals), compare.worth([before, first.point]), winner is not None)

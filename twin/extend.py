@@ -30,6 +30,8 @@ TRAINING = 0.7
 MOST = 4
 #: Criteria that differ by less leave two explanations undecided: 73 % to 27 %.
 UNSURE = 2.0 * compare.TEMPER
+#: A rival that had earned all but this share of what the winner did is tried in its place.
+NARROW = 0.1
 _TIMED = ("load_change", "thermal_fade", "periodic_disturbance")
 
 
@@ -56,12 +58,6 @@ class Search:
     swaps: tuple[Swap, ...] = ()
 
 
-def _worth(before: Point, after: Point) -> bool:
-    """Whether an addition earns its place."""
-    unit = compare.worth([before, after])
-    return compare.criterion(before, unit) - compare.criterion(after, unit) > compare.LEAST
-
-
 def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
     """The structure less one effect each, with and without what that effect brought along."""
     out = []
@@ -81,7 +77,7 @@ def _fits(
 
 def _fair(point: Point, lesser: Sequence[Point]) -> Point:
     """The best of the lesser fits whose lack does not matter, or the point itself."""
-    fair = [q for q in lesser if not _worth(q, point)]
+    fair = [q for q in lesser if not compare.earns(q, point)]
     return min(fair, key=lambda q: compare.criterion(q, compare.worth([point])), default=point)
 
 
@@ -108,21 +104,22 @@ def search(
     smallest = best
     candidates = screening.offered(cases, candidates)
     far = explain.contest(cases, rough, [c for c in candidates if c not in first])
+    known = explain.from_afar(cases, far, held, best.density)
     rounds: list[Round] = []
     for n in range(MOST):
         open_ = [c for c in candidates if c not in best.structure]
         if not open_:
             break
         tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)
-        this = explain.compete(cases, best, far, open_, held)
+        this = explain.compete(cases, best, known, open_, held)
         rounds.append(this)
         best, winner = this.before, this.rivals[0].point
         if n == 0:
             smallest = best
-        if not explain.plausible(cases, winner) or not _worth(best, winner):
+        if not this.won:
             break
         best = _plainer(cases, this, held)
-        far = []
+        known = [] if best is winner else [this.rivals[0]]
     lesser: list[Point] = []
     while len(best.structure.named) > 1:
         lesser = _fits(cases, best, held, _smaller(best.structure, first))
@@ -146,25 +143,37 @@ def _ahead(one: Point, other: Point) -> float:
     return compare.criterion(other, unit) - compare.criterion(one, unit)
 
 
-def _contest(rounds: Sequence[Round], last: Structure, effect: str) -> list[tuple[Hypothesis, float]]:
-    """The rivals that lack an effect of the last model, and how far behind it each was when it won its place.
+@dataclass(frozen=True, eq=False)
+class Contest:
+    """How an effect won its place: by how much, and the rivals that lack it, each with how far behind it was."""
+
+    gain: float
+    rivals: tuple[tuple[Hypothesis, float], ...]
+
+
+def _contest(rounds: Sequence[Round], last: Structure, effect: str) -> Contest:
+    """The last round that an effect of the last model won.
 
     A rival that contains the effect and more does not deny it; one that is in the last model, too, took nothing away.
     """
     for this in reversed(rounds):
         holders = [compare.criterion(h.point, this.unit) for h in this.rivals if effect in h.point.structure]
         if effect not in this.before.structure and holders:
+            best = min(holders)
             others = [h for h in this.rivals if effect not in h.point.structure and h.added[0] not in last]
-            return [(h, compare.criterion(h.point, this.unit) - min(holders)) for h in others]
-    return []
+            behind = tuple((h, compare.criterion(h.point, this.unit) - best) for h in others)
+            return Contest(compare.criterion(this.before, this.unit) - best, behind)
+    return Contest(0.0, ())
 
 
 def _swapped(cases: Sequence[Case], last: Point, rounds: Sequence[Round], held: Mapping[str, float]) -> list[Swap]:
     """The last model with each effect exchanged for every rival that had come close to it."""
     out = []
     for effect in last.structure.named:
-        for h, behind in _contest(rounds, last.structure, effect):
-            if behind < UNSURE and explain.plausible(cases, h.point):
+        contest = _contest(rounds, last.structure, effect)
+        margin = max(UNSURE, NARROW * contest.gain)
+        for h, behind in contest.rivals:
+            if behind < margin and explain.plausible(cases, h.point):
                 rest = last.structure.without(effect, *_orphans(last.structure, effect))
                 own, other = h.point, rest.with_(*h.added)
                 starts = ({**own.values, **last.values}, {**last.values, **own.values})
@@ -184,7 +193,7 @@ def _plainer(cases: Sequence[Case], this: Round, held: Mapping[str, float]) -> P
     if kept.named == this.before.structure.named:
         return winner.point
     plain = _fits(cases, winner.point, held, [kept])[0]
-    return plain if _worth(this.before, plain) else winner.point
+    return plain if compare.earns(this.before, plain) else winner.point
 
 
 def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[tuple[Recording, float]]]:
@@ -274,7 +283,7 @@ def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, fl
         if effect.startswith("unknown_"):
             continue
         contest = _contest(found.rounds, found.last.structure, effect)
-        against = {h.added[0]: max(behind, 0.0) for h, behind in contest}
+        against = {h.added[0]: max(behind, 0.0) for h, behind in contest.rivals}
         against |= {w.rival: _ahead(found.last, w.point) for w in found.swaps if w.effect == effect}
         lesser = found.lesser or tuple(this.before for this in found.rounds[:1])
         without = [_ahead(found.last, q) for q in lesser if effect not in q.structure]
@@ -331,11 +340,16 @@ def _undecided(found: Search) -> tuple[Undecided, ...]:
 
 
 def _nameless(found: Search, left: unknown.Leftover) -> Point:
-    """The first model with the term of no known shape that serves it best, or as it is if none does."""
-    terms = unknown.which_variables(left)
-    tried = [unknown.fit_unknown(found.cases, found.first, v) for v in terms]
-    best = min(tried, key=lambda p: p.deviance, default=found.first)
-    return best if _worth(found.first, best) else found.first
+    """The first model with the term of no known shape that serves it best."""
+    tried = [unknown.fit_unknown(found.cases, found.first, v) for v in unknown.which_variables(left)]
+    return min(tried, key=lambda p: p.deviance, default=found.first)
+
+
+def _outdone(found: Search, nameless: Point) -> bool:
+    """Whether what has no name is what a recording speaks for, and no name."""
+    unit = compare.worth([found.last])
+    gain = compare.criterion(found.last, unit) - compare.criterion(nameless, unit)
+    return gain > compare.LEAST and explain.shows(found.cases, found.last, nameless)
 
 
 def _next(found: Search) -> Experiment:
@@ -383,12 +397,13 @@ def diagnose(
     lap("search")
     case, lacking = _telling(found)
     left = [lacking, unknown.leftover(case, found.last.structure, found.last.values)]
+    tell("drawing a term for what has no name", 0.85)
+    nameless = _nameless(found, left[0])
     named = bool(set(found.last.structure.named) - set(first.named))
-    verdict = unknown.verdict(named, left[0], left[1])
+    verdict = "unexplained" if _outdone(found, nameless) else unknown.verdict(named, left[0], left[1])
     if verdict == "unexplained":
-        tell("drawing a term for what has no name", 0.85)
-        found = replace(found, last=_nameless(found, left[0]), rounds=found.rounds[:1], lesser=(), swaps=())
-        lap("term without a name")
+        found = replace(found, last=nameless, rounds=found.rounds[:1], lesser=(), swaps=())
+    lap("term without a name")
     tell("fitting both models to the end", 0.87)
     first_point, last_point = (explain.sharpened(found.cases, p) for p in (found.first, found.last))
     before = identify.to_model(found.cases, first_point, train, held)

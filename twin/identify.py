@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import likelihood, two_stage
+from twin import likelihood
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
@@ -115,8 +115,21 @@ def with_teeth(structure: Structure) -> Structure:
 
 
 def completed(structure: Structure, values: Mapping[str, float]) -> dict[str, float]:
-    """Values of all the structure's parameters and of no others: those given, and the usual start of the rest."""
-    return {p.name: values.get(p.name, p.start) for p in structure.parameters}
+    """Values of all the structure's parameters and of no others: those given, and the usual start of the rest.
+
+    Teeth and an elastic joint are the same spring: where one takes the other's place it is as stiff, within its bounds.
+    """
+    known = {**_springs(values), **values}
+    return {p.name: known.get(p.name, p.start) for p in structure.parameters}
+
+
+def _springs(values: Mapping[str, float]) -> dict[str, float]:
+    """What stands for teeth in an elastic joint's values."""
+    if "joint_frequency" not in values:
+        return {}
+    softest, stiffest = likelihood.bounds_of("tooth_frequency")
+    frequency = min(max(values["joint_frequency"], softest), stiffest)
+    return {"tooth_frequency": frequency, "tooth_damping": values["joint_damping"]}
 
 
 def with_steps(cases: Sequence[Case], structure: Structure) -> list[Case]:
@@ -269,7 +282,8 @@ def _notes(point: Point, covariance: NDArray[np.float64]) -> dict[str, str]:
         value = abs(point.values[name])
         if size[i] <= 0.5 * max(value, 1e-12):
             continue
-        correlation = np.abs(covariance[i] / (size[i] * np.maximum(size, 1e-300)))
+        with np.errstate(invalid="ignore"):
+            correlation = np.nan_to_num(np.abs(covariance[i] / (size[i] * np.maximum(size, 1e-300))))
         correlation[i] = 0.0
         partner = point.free[int(np.argmax(correlation))]
         if correlation.max() > 0.95:
@@ -374,21 +388,14 @@ def for_horizon(model: Model, recordings: Sequence[Recording], horizon: float, c
 def identify(
     recordings: Sequence[Recording],
     structure: Structure,
-    method: str = "joint",
     held: Mapping[str, float] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Model:
-    """The model of a structure from its training recordings. `method` is joint or two-stage. Raises BadInput."""
+    """The joint estimate of a structure from its training recordings. Raises BadInput."""
     tell = progress or (lambda sentence, share: None)
     train = [r for r in recordings if r.role == "train"]
     if not train:
         raise BadInput("every recording has the role holdout: give at least one to fit")
-    if method == "two-stage":
-        tell("steady states and transients", 0.0)
-        stages = two_stage.two_stage(train)
-        if not stages.ok:
-            raise BadInput(f"{train[0].name}: the two-stage method gives no estimate: {stages.says}")
-        return two_stage.to_model(stages, train)
     tell("a coarse fit", 0.0)
     held = dict(held or {})
     cases, point = start(train, structure, held)

@@ -15,7 +15,7 @@ import re
 import sys
 import tempfile
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -116,14 +116,12 @@ def _place() -> Path:
         return Path(tempfile.mkdtemp(prefix="twin-"))
 
 
-@cache
-def compiled(offered: Structure = NAMED) -> ModuleType:
-    """The kernel's module; writes and compiles it on the first call on a machine."""
-    name = f"twin_kernel_{_fingerprint(offered)}"
+def module_of(name: str, text: Callable[[], str]) -> ModuleType:
+    """The module of this name from the cache; `text` is asked for its source on the first call on a machine."""
     path = _place() / f"{name}.py"
     if not path.exists():
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".py", delete=False) as draft:
-            draft.write(kernel_text(offered).encode())
+            draft.write(text().encode())
         Path(draft.name).replace(path)
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None
@@ -131,6 +129,12 @@ def compiled(offered: Structure = NAMED) -> ModuleType:
     sys.modules[name] = loaded
     spec.loader.exec_module(loaded)
     return loaded
+
+
+@cache
+def compiled(offered: Structure = NAMED) -> ModuleType:
+    """The kernel's module; writes and compiles it on the first call on a machine."""
+    return module_of(f"twin_kernel_{_fingerprint(offered)}", lambda: kernel_text(offered))
 
 
 def _serving(p: FloatArray) -> ModuleType:

@@ -41,6 +41,10 @@ LEAST_READINGS = 2.0
 AT_ONCE = 100_000
 #: A unit of deviance worth so little says that the model errs.
 ERRS = 5.0
+#: A gradient that scatters by less than this share of what the information says is one of slopes that have run away.
+CHAOS = 0.3
+#: Stretches beyond one for each parameter from which on their scatter is looked at.
+LEFT = 4
 #: Far from the maximum that worth says nothing: a climb ends at so many times its tolerance at most.
 MOST_UNITS = 10.0
 _BEHIND = 1e-7  # s
@@ -158,6 +162,18 @@ class Point:
         wider = np.diag(self.robust_covariance) / np.maximum(np.diag(self.covariance), 1e-300)
         traced = wider[np.isfinite(wider)]
         return float(np.median(traced)) if len(traced) else math.nan
+
+    @property
+    @_unheeded()
+    def chaotic(self) -> bool:
+        """Whether the slopes have grown from bounce to bounce until they say nothing about the maximum.
+
+        They then promise an information that the gradient's scatter gives the lie to.
+        """
+        plain = self.covariance
+        said = np.diag(plain @ self.scatter @ plain) / np.maximum(np.diag(plain), 1e-300)
+        traced = said[np.isfinite(said)]
+        return bool(len(traced)) and float(np.median(traced)) < CHAOS
 
 
 def _start(case: Case, p: FloatArray, free: Sequence[str]) -> tuple[FloatArray, FloatArray]:
@@ -326,8 +342,8 @@ def evaluate(
         gradient, scatter, stretches = each.sum(axis=0), each.T @ each, len(each)
     if not np.all(np.isfinite(normal)) or not np.all(np.isfinite(gradient)):
         return lost
-    if stretches <= 2 * n:
-        scatter = normal
+    # The maximum has used up a stretch for each parameter (MacKinnon and White, J. Econometrics 29, 1985).
+    scatter = scatter * (stretches / (stretches - n)) if stretches > n + LEFT else normal
     return Point(structure, dict(values), density, free, deviance, scale, normal, gradient, scatter)
 
 

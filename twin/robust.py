@@ -8,17 +8,13 @@ from __future__ import annotations
 
 import ast
 import hashlib
-import importlib.util
 import inspect
 import math
-import sys
-import tempfile
 import textwrap
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -29,7 +25,7 @@ from twin import sampled
 from twin.axis import EVERYTHING, STATES
 from twin.controller import Controller
 from twin.errors import BadInput
-from twin.kernel import cache_folder, known_vector, start_state, vector
+from twin.kernel import known_vector, module_of, start_state, vector
 from twin.model import Model
 from twin.reference import Reference, check, make_reference
 from twin.writers.python import numbering, resolve
@@ -66,28 +62,7 @@ def kernel_text() -> str:
 def compiled() -> ModuleType:
     """The kernel's module; compiles on the first call on a machine."""
     text = kernel_text()
-    name = "twin_loop_" + hashlib.sha256(text.encode()).hexdigest()[:16]
-    folder = cache_folder()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        path = _written(folder, name, text)
-    except OSError:
-        path = _written(Path(tempfile.mkdtemp(prefix="twin-")), name, text)
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None
-    loaded = importlib.util.module_from_spec(spec)
-    sys.modules[name] = loaded
-    spec.loader.exec_module(loaded)
-    return loaded
-
-
-def _written(folder: Path, name: str, text: str) -> Path:
-    path = folder / f"{name}.py"
-    if not path.exists():
-        with tempfile.NamedTemporaryFile(dir=folder, suffix=".py", delete=False) as draft:
-            draft.write(text.encode())
-        Path(draft.name).replace(path)
-    return path
+    return module_of("twin_loop_" + hashlib.sha256(text.encode()).hexdigest()[:16], lambda: text)
 
 
 def trial(model: Model, controller: Controller, reference: Reference) -> tuple[FloatArray, FloatArray]:

@@ -10,6 +10,7 @@ best of all tables has to beat the best of all tables under such signs.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -34,11 +35,14 @@ _FOLDS = 10
 _DRAWS = 199
 #: So many averages at zero does every bin get beside its own.
 _CAUTION = 5.0
+#: Waves over position so many times a turn at most, each cut into so many phases.
+_WAVES = 60
+_PHASES = 8
 #: What counts as left: rigs with nothing missing leave a share of 0.03 at most, physics without a name 0.18 at least.
 SURE = 0.01
-LARGE = 0.1
+LARGE = 0.15
 #: Part of the predictable torque's power that a named effect must take away to stand for it.
-REMOVED = 0.5
+REMOVED = 0.75
 _EULER = 0.5772156649015329
 
 
@@ -90,6 +94,8 @@ _MEANS: Mapping[str, tuple[str, ...]] = {
     "velocity, time": ("velocity", "time"),
     "input, time": ("input", "time"),
     "input, velocity": ("input", "velocity"),
+    "wave": ("position",),
+    "wave, push": ("position", "input"),
 }
 
 
@@ -142,6 +148,11 @@ def _tables(means: Mapping[str, FloatArray]) -> dict[str, IntArray]:
             "angle, push": 3 * angle + push,
             "angle, input": 100 * (angle // 3) + _cut(means["input"], 5),
         }
+    for n in range(2, _WAVES + 1):
+        # What repeats is seen to repeat.
+        if n * np.ptp(means["position"]) > 2.0 * _TURN:
+            phase = (n * means["position"] % _TURN * (_PHASES / _TURN)).astype(np.intp)
+            tables |= {f"wave {n}": phase, f"wave {n}, push": 3 * phase + push}
     return tables
 
 
@@ -213,7 +224,8 @@ def examine(missing: Missing, seed: int = 1) -> Leftover:
         share, square, noise = _shares(torque, np.unique(table, return_inverse=True)[1], stretch, signs)
         middle, spread = float(noise.mean()), max(float(noise.std()), 1e-12)
         nulls.append((noise - middle) / spread)
-        found.append(Dependence(name, _MEANS[name], share, (share - middle) / spread, math.sqrt(square)))
+        means_of = _MEANS[re.sub(" [0-9]+", "", name)]
+        found.append(Dependence(name, means_of, share, (share - middle) / spread, math.sqrt(square)))
     p_value = _tail(max(d.score for d in found), np.max(nulls, axis=0))
     found.sort(key=lambda d: -d.share)
     best = found[0]

@@ -17,7 +17,7 @@ EFFECT = Effect(
             "frequency at which motor and link ring against each other",
             None,
             0.5,
-            60.0,
+            40.0,
             10.0,
         ),
         Parameter("joint_damping", "1", "damping ratio of that ringing", None, 0.0, 2.0, 0.1),
