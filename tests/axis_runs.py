@@ -16,6 +16,8 @@ SANE: dict[str, tuple[float, float]] = {
     "fade_time": (5.0, 60.0),
     "fade_reference": (50.0, 50.0),
     "supply_sag": (0.002, 0.006),
+    "sag_switched": (0.0, 1.0),
+    "sag_reference": (60.0, 100.0),
     "saturation_limit": (30.0, 60.0),
     "dead_band_forward": (3.0, 9.0),
     "dead_band_reverse": (3.0, 9.0),
@@ -66,6 +68,7 @@ SANE: dict[str, tuple[float, float]] = {
     "unknown_input_span": (80.0, 120.0),
     "unknown_time_from": (-0.2, 0.0),
     "unknown_time_span": (0.3, 1.0),
+    "unknown_angle_order": (0.5, 4.0),
 }
 
 PAYLOAD = {"payload": 0.004, "moment": 0.02}

@@ -58,6 +58,7 @@ PLANTED = {
 CASES = {
     "bump": lambda: recorded(3, ("unknown_position",), **PLANTED),
     "drag": lambda: recorded(4, ("quadratic_drag",), quadratic_drag=0.1),
+    "cogging": lambda: recorded(6, ("unknown_angle",), unknown_angle_order=7.0, unknown_angle_sin_1=1.5),
     "nothing": lambda: recorded(5),
 }
 
@@ -149,6 +150,17 @@ def test_a_wave_that_only_one_direction_of_push_knows_is_found():
     assert unknown.is_left(found)
     assert found.table == "wave 8, push"
     assert found.variables == ("position", "input")
+
+
+def test_a_wave_is_drawn_with_its_order():
+    case, base = fitted("cogging")
+    before = unknown.leftover(case, base.structure, base.values)
+    assert unknown.which_variables(before)[0] == "wave 7"
+    found = unknown.fit_unknown([case], base, "wave 7")
+    assert found.values["unknown_angle_order"] == 7.0
+    assert found.values["unknown_angle_sin_1"] == pytest.approx(1.5, abs=0.15)
+    others = [v for n, v in found.values.items() if n.startswith("unknown_angle_") and n[-1] in "23456"]
+    assert max(abs(v) for v in others) < 0.2
 
 
 def left(share: float, p_value: float, size: float) -> unknown.Leftover:

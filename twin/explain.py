@@ -1,9 +1,11 @@
 """Which physics was left out.
 
-Structures compete at one noise density, that of a filter which remembers a tenth of a second. The likeliest density
-is higher where gears land in their gap, because a landing is less certain than everything between, and such a filter
-forgets the slow part of the misfit, in which physics shows. Innovations of a long memory hang together, so that a
-unit of deviance is worth less; what it is worth is measured (`compare.worth`).
+Structures compete at one noise density. At first it is that of a filter which remembers a tenth of a second: where the
+model lacks much the likeliest believes little but the last readings, and so forgets the slow part of the misfit, in
+which physics shows. From the second round on it is the one that the recording asks for, within limits: where a light
+motor rattles in its gap, a filter that trusts the model for longer than a bounce is led astray by bounces that no model
+foresees, and rewards whatever moves them. Innovations hang together over the memory, so that a unit of deviance is
+worth less; what it is worth is measured (`compare.worth`).
 
 Every candidate is looked at from two places. Near: beside the model as it stands, where the score test sees the
 smallest effect. Far: from contact without compliance, whose likelihood is smooth, so that an effect is found also where
@@ -36,8 +38,12 @@ NEAR, FAR = 4, 2
 CLOSE = 0.4
 #: So often at most does a round begin again from a smaller model that its rivals have shown a better place.
 AGAIN = 3
-#: What is there shows to filters that forget so many times as fast, too.
-FASTER = (2.0, 4.0)
+#: Memory of the filter that judges the first round, and the least of those that judge later ones, s.
+LONG, SHORT = 0.1, 0.05
+#: Noise densities within this factor judge alike.
+ALIKE = 1.5
+#: What is there shows to filters that forget so many times as fast, too, down to this memory, s.
+FASTER, BRIEFEST = (2.0, 4.0), 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +94,8 @@ class Round:
 
 
 def judged(cases: Sequence[Case], point: Point) -> float:
-    """The noise density at which structures compete."""
-    return min(likelihood.density_of(cases[0], identify.MEMORY), point.density)
+    """The noise density at which the first round is judged."""
+    return min(likelihood.density_of(cases[0], LONG), point.density)
 
 
 def settle(
@@ -101,6 +107,16 @@ def settle(
     free = tuple(n for n in identify.free_parameters(structure) if n not in held)
     full = identify.completed(structure, values) | dict(held)
     return likelihood.climb(mine, structure, full, density, free, tolerance=0.2)
+
+
+def rejudged(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
+    """The maximum at the noise density that the model asks for, now that it lacks less."""
+    mine = identify.with_steps(cases, point.structure)
+    likeliest = likelihood.best_density(mine, point.structure, point.values, around=point.density)
+    density = min(likelihood.density_of(cases[0], SHORT), likeliest)
+    if 1.0 / ALIKE < density / point.density < ALIKE:
+        return point
+    return settle(cases, point.structure, point.values, held, density)
 
 
 def deepen(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
@@ -147,7 +163,8 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
     physics and is not led astray so far.
     """
     memory = likelihood.memory_of(cases[0], before.density)
-    return all(_prefers(cases, before, after, likelihood.density_of(cases[0], memory / times)) for times in FASTER)
+    shorter = [memory / times for times in FASTER if memory / times >= BRIEFEST]
+    return all(_prefers(cases, before, after, likelihood.density_of(cases[0], m)) for m in shorter)
 
 
 def _prefers(cases: Sequence[Case], before: Point, after: Point, density: float) -> bool:
@@ -240,7 +257,7 @@ def compete(
         for h in found:
             best[h.added] = min(best.get(h.added, h), h, key=lambda o: o.deviance)
 
-    keep(known)
+    keep([_finish(cases, h, held, density) for h in known])
     with ThreadPoolExecutor(2) as pool:
         for _ in range(AGAIN):
             near = contest(cases, before, candidates)[:NEAR]

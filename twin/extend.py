@@ -101,9 +101,9 @@ def search(
     cases, rough = identify.start(recordings, first, held)
     cases, fine = identify.polish(cases, identify.refine(cases, identify.with_teeth(first), rough, held))
     best = explain.settle(cases, first, fine.values, held, explain.judged(cases, fine))
-    smallest = best
+    smallest = best.values
     candidates = screening.offered(cases, candidates)
-    far = explain.contest(cases, rough, [c for c in candidates if c not in first])
+    far = explain.contest(cases, rough[0], [c for c in candidates if c not in first])
     known = explain.from_afar(cases, far, held, best.density)
     rounds: list[Round] = []
     for n in range(MOST):
@@ -111,22 +111,26 @@ def search(
         if not open_:
             break
         tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)
+        best = explain.rejudged(cases, best, held) if rounds else best
         this = explain.compete(cases, best, known, open_, held)
         rounds.append(this)
         best, winner = this.before, this.rivals[0].point
         if n == 0:
-            smallest = best
+            smallest = best.values
         if not this.won:
             break
         best = _plainer(cases, this, held)
         known = [] if best is winner else [this.rivals[0]]
+    # What the last model is held against is judged as it is.
+    begun = explain.settle(cases, first, smallest, held, best.density)
     lesser: list[Point] = []
-    while len(best.structure.named) > 1:
-        lesser = _fits(cases, best, held, _smaller(best.structure, first))
+    while fewer := _smaller(best.structure, first):
+        lesser = [*_fits(cases, best, held, fewer), begun]
         less = _fair(best, lesser)
         if less is best:
             break
         best = less
+    begun = min([begun, *(q for q in lesser if q.structure == begun.structure)], key=lambda p: p.deviance)
     swaps = _swapped(cases, best, rounds, held)
     better = max(swaps, key=lambda w: _ahead(w.point, best), default=None)
     if better is not None and _ahead(better.point, best) > 0.0:
@@ -134,7 +138,7 @@ def search(
         swaps = [Swap(better.rival, better.effect, best)]
         best = better.point
         lesser = _fits(cases, best, held, _smaller(best.structure, first)) if lesser else []
-    return Search(smallest, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
+    return Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
 
 
 def _ahead(one: Point, other: Point) -> float:
@@ -285,8 +289,7 @@ def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, fl
         contest = _contest(found.rounds, found.last.structure, effect)
         against = {h.added[0]: max(behind, 0.0) for h, behind in contest.rivals}
         against |= {w.rival: _ahead(found.last, w.point) for w in found.swaps if w.effect == effect}
-        lesser = found.lesser or tuple(this.before for this in found.rounds[:1])
-        without = [_ahead(found.last, q) for q in lesser if effect not in q.structure]
+        without = [_ahead(found.last, q) for q in found.lesser if effect not in q.structure]
         weight = compare.weights([0.0, *against.values(), *([min(without)] if without else [])])
         named[effect] = float(weight[0])
         for rival, w in zip(against, weight[1:], strict=False):

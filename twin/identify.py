@@ -28,8 +28,9 @@ from twin.model import Model
 from twin.recording import Recording, known_quantities
 from twin.startup import start_values
 
-#: Memory of the filter while the coarse values are looked for, s.
-MEMORY = 0.1
+#: Memories of the filter while coarse values are looked for, s: a long one sees more where nothing rattles, and where a
+#: light motor does, a short one is not led astray by its bounces.
+MEMORIES = (0.1, 0.025)
 
 _GRID = {
     "backlash_gap": (0.003, 0.006, 0.009, 0.013, 0.018, 0.025, 0.035, 0.05, 0.07, 0.09),
@@ -39,8 +40,8 @@ _GRID = {
 _TEETH = {"tooth_frequency": (60.0, 90.0, 130.0, 190.0), "tooth_damping": (0.12, 0.2, 0.35, 0.5)}
 #: Looked through rigid teeth the motor seemed so much too heavy or too light.
 _LIGHTER = (0.7, 1.0, 1.4)
-#: Noise densities at which teeth are looked for, over that of the coarse point.
-_FORGETFUL = (1.0, 30.0, 1e3, 3e4)
+#: Noise densities at which teeth are looked for, over that of the coarse point, and the shortest memory of these, s.
+_FORGETFUL, _BRIEF = (1.0, 30.0, 1e3, 3e4), 0.007
 
 
 def free_parameters(structure: Structure) -> tuple[str, ...]:
@@ -59,12 +60,12 @@ def _scan(
 
 
 def coarse(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float] | None = None
+    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float], memory: float
 ) -> Point:
-    """A point in the right valley, by steps (1) and (2), for contact without compliance."""
-    density = likelihood.density_of(cases[0], MEMORY)
+    """A point in the right valley, by steps (1) and (2), for contact without compliance and a filter's memory (s)."""
+    density = likelihood.density_of(cases[0], memory)
     rigid = structure.without("tooth_compliance")
-    free = tuple(n for n in free_parameters(rigid) if n not in (held or {}))
+    free = tuple(n for n in free_parameters(rigid) if n not in held)
     core = tuple(n for n in free if n not in _GRID)
     point = likelihood.climb(cases, rigid, values, density, core, rounds=12, tolerance=1.0)
     grid = {n: v for n, v in _GRID.items() if n in free}
@@ -98,7 +99,7 @@ def _choose_contacts(cases: Sequence[Case], structure: Structure, values: Mappin
     for case in cases:
         head = case.recording.part(0.0, min(3.0, float(case.recording.time[-1])))
         trial = replace(likelihood.prepare(head, structure), reading_variance=case.reading_variance)
-        density = likelihood.density_of(trial, MEMORY)
+        density = likelihood.density_of(trial, MEMORIES[0])
         scored = [
             (likelihood.evaluate([replace(trial, contact=s)], structure, values, density).deviance, s)
             for s in (0.0, -1.0, 1.0)
@@ -138,19 +139,22 @@ def with_steps(cases: Sequence[Case], structure: Structure) -> list[Case]:
     return [replace(c, drive=replace(c.drive, longest=longest)) for c in cases]
 
 
-def start(recordings: Sequence[Recording], structure: Structure, held: Mapping[str, float]) -> tuple[list[Case], Point]:
-    """Cases and a coarse point of the structure without compliant teeth; `held` parameters keep their value."""
+def start(
+    recordings: Sequence[Recording], structure: Structure, held: Mapping[str, float]
+) -> tuple[list[Case], list[Point]]:
+    """Cases, and coarse points of the structure without compliant teeth; `held` parameters keep their value."""
     rigid = structure.without("tooth_compliance")
     cases = prepare(recordings, rigid)
     values = {**start_values(cases, rigid), **held}
-    point = coarse(cases, rigid, values, held)
-    return _choose_contacts(cases, rigid, point.values), point
+    with ThreadPoolExecutor(2) as pool:
+        points = list(pool.map(lambda m: coarse(cases, rigid, values, held, m), MEMORIES))
+    return _choose_contacts(cases, rigid, points[0].values), points
 
 
 def _doors(
     cases: Sequence[Case], structure: Structure, values: Mapping[str, float], density: float, free: tuple[str, ...]
 ) -> list[Point]:
-    """Into the likeliest valleys of the teeth: one for each of several noise densities, a few steps in, best first.
+    """Into the likeliest valleys of the teeth: one for each of several noise densities, a few steps in.
 
     A light motor bounces in its gap, and whatever moves a bounce makes a valley. A filter that forgets fast has lost
     the bounces and sees the wide valleys of how hard the first landing is; one that remembers sees them all.
@@ -159,14 +163,15 @@ def _doors(
     if "motor_share" in free:
         low, high = likelihood.bounds_of("motor_share")
         grid["motor_share"] = tuple(min(max(f * values["motor_share"], low), high) for f in _LIGHTER)
-    densities = [min(density * f, likelihood.densest(cases)) for f in _FORGETFUL]
+    densest = min(likelihood.densest(cases), likelihood.density_of(cases[0], _BRIEF))
+    densities = [density * f for f in _FORGETFUL if f == 1.0 or density * f <= densest]
     begun = [(_scan(cases, structure, values, d, grid, keep=1)[0], d) for d in densities]
 
     def enter(door: tuple[dict[str, float], float]) -> Point:
         return likelihood.climb(cases, structure, *door, free, rounds=4, tolerance=1.0)
 
     with ThreadPoolExecutor(2) as pool:
-        return sorted(pool.map(enter, begun), key=lambda p: p.deviance)
+        return list(pool.map(enter, begun))
 
 
 def likeliest_teeth(
@@ -178,16 +183,16 @@ def likeliest_teeth(
     return _scan(cases, structure, values, density, _TEETH, keep=1)[0]
 
 
-def refine(cases: Sequence[Case], structure: Structure, coarse_point: Point, held: Mapping[str, float]) -> Point:
-    """The maximum of the full likelihood from a coarse point, teeth included where the structure has them."""
-    values = completed(structure, coarse_point.values)
+def refine(cases: Sequence[Case], structure: Structure, begun: Sequence[Point], held: Mapping[str, float]) -> Point:
+    """The maximum of the full likelihood from coarse points, teeth included where the structure has them."""
     mine = with_steps(cases, structure)
     free = tuple(n for n in free_parameters(structure) if n not in held)
-    if "tooth_compliance" not in structure:
-        return likelihood.fit(mine, structure, values, free, coarse_point.density)
-    doors = _doors(mine, structure, values, coarse_point.density, free)[:2]
+    inside = [(completed(structure, p.values), p.density) for p in begun]
+    if "tooth_compliance" in structure:
+        doors = [door for values, density in inside for door in _doors(mine, structure, values, density, free)]
+        inside = [(p.values, p.density) for p in sorted(doors, key=lambda p: p.deviance)[:2]]
     with ThreadPoolExecutor(2) as pool:
-        fits = pool.map(lambda p: likelihood.fit(mine, structure, p.values, free, p.density), doors)
+        fits = pool.map(lambda start: likelihood.fit(mine, structure, start[0], free, start[1]), inside)
         return min(fits, key=lambda p: p.deviance)
 
 
@@ -398,9 +403,9 @@ def identify(
         raise BadInput("every recording has the role holdout: give at least one to fit")
     tell("a coarse fit", 0.0)
     held = dict(held or {})
-    cases, point = start(train, structure, held)
+    cases, begun = start(train, structure, held)
     tell("the full likelihood", 0.3)
-    point = refine(cases, with_teeth(structure), point, held)
+    point = refine(cases, with_teeth(structure), begun, held)
     tell("leaving local valleys", 0.75)
     cases, point = polish(cases, point)
     model = to_model(cases, point, train, held)

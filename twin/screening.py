@@ -86,6 +86,7 @@ def grids(
     out["thermal_fade"] = [
         {"fade_time": f * end, "fade_reference": span} for f in (0.15, 0.5, 1.5) if 1.0 <= f * end <= 3600.0
     ]
+    out["supply_sag"] = [{**row, "sag_reference": span} for row in out["supply_sag"]]
     out["load_change"] = [{"load_time": f * end} for f in np.linspace(0.1, 0.9, 9)]
     out["drive_saturation"] = [{"saturation_limit": f * span} for f in (0.4, 0.55, 0.7, 0.85, 0.95)]
     out["motor_lag"] = [{"lag_time": t} for t in (0.003, 0.01, 0.03)]

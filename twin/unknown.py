@@ -282,16 +282,16 @@ def _smooth(columns: FloatArray, torque: FloatArray, weight: float = 3.0) -> Flo
     return heights
 
 
-def _first_angle(means: Mapping[str, FloatArray]) -> tuple[dict[str, float], tuple[str, ...]]:
+def _first_angle(means: Mapping[str, FloatArray], order: float) -> tuple[dict[str, float], tuple[str, ...]]:
     waves = [
-        (f"unknown_angle_{n}_{k}", f(k * means["position"]))
+        (f"unknown_angle_{n}_{k}", f(k * order * means["position"]))
         for k in range(1, HARMONICS + 1)
         for n, f in (("sin", np.sin), ("cos", np.cos))
     ]
     columns = np.column_stack([w for _, w in waves])
     gains = np.linalg.lstsq(columns, _clipped(means["torque"]), rcond=None)[0]
     free = tuple(n for n, _ in waves)
-    return dict(zip(free, map(float, gains), strict=True)), free
+    return {**dict(zip(free, map(float, gains), strict=True)), "unknown_angle_order": order}, free
 
 
 def _first_line(
@@ -324,8 +324,10 @@ def _bridged(values: Mapping[str, float], prefix: str, free: Sequence[str]) -> d
 def fit_unknown(cases: Sequence[Case], base: Point, variable: str, held: Sequence[str] = ()) -> Point:
     """The base model and a term of no known shape over one of `TERMS`, fitted together at the base's noise density.
 
-    Raises ValueError for another variable.
+    "wave N" is a term over the angle that repeats N times a turn. Raises ValueError for another variable.
     """
+    wave = re.fullmatch("wave ([0-9]+)", variable)
+    variable = "angle" if wave else variable
     if variable not in TERMS:
         raise ValueError(f"no term over {variable!r}: there are {', '.join(TERMS)}")
     structure = base.structure.with_(f"unknown_{variable}")
@@ -333,7 +335,7 @@ def fit_unknown(cases: Sequence[Case], base: Point, variable: str, held: Sequenc
     parts = [_averages(locate.missing_torque(c, base.structure, base.values)) for c in mine]
     means = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
     if variable == "angle":
-        start, free = _first_angle(means)
+        start, free = _first_angle(means, float(wave[1]) if wave else 1.0)
     else:
         start, free = _first_line(means, variable, base.values)
     kept = tuple(n for n in base.free if n not in held and n != _HELD.get(variable))
@@ -349,12 +351,12 @@ def fit_unknown(cases: Sequence[Case], base: Point, variable: str, held: Sequenc
 
 
 def which_variables(found: Leftover, most: int = 2) -> list[str]:
-    """The terms worth fitting, the most telling first: among `TERMS`, with a share near the best."""
+    """The terms worth fitting, the most telling first: those of `fit_unknown`, with a share near the best."""
     known = {"direction": "velocity", "since reversal": "position", "acceleration": "input"}
     out: list[str] = []
     for d in found.dependences:
         first = d.table.split(", ")[0]
         term = known.get(first, first)
-        if d.share > 0.3 * found.share and term in TERMS and term not in out:
+        if d.share > 0.3 * found.share and (term in TERMS or term.startswith("wave ")) and term not in out:
             out.append(term)
     return out[:most]

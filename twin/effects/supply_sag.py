@@ -10,9 +10,11 @@ from twin.words import absolute, maximum
 
 
 def law(q: Any, p: Any) -> Any:
-    # The current goes with what is left of the command after the back-EMF.
+    # The motor's current goes with what is left of the command after the back-EMF. A switched bridge draws it from the
+    # supply only while it is on, a linear amplifier always.
     current = absolute(q.command - q.emf)
-    return q.command * maximum(1.0 - p.supply_sag * current, 0.1)
+    drawn = current * (1.0 - p.sag_switched * (1.0 - absolute(q.command) / p.sag_reference))
+    return q.command * maximum(1.0 - p.supply_sag * drawn, 0.1)
 
 
 EFFECT = Effect(
@@ -21,8 +23,12 @@ EFFECT = Effect(
     station="drive",
     slot="drive",
     parameters=(
+        Parameter("supply_sag", "1/{u}", "loss of gain per unit of command that drives current", 0.0, 0.0, 0.02),
         Parameter(
-            "supply_sag", "1/{u}", "loss of gain per unit of command that drives current", 0.0, 0.0, 0.02
+            "sag_switched", "1", "how much of the current flows only while the bridge is on", None, 0.0, 1.0, 0.5
+        ),
+        Parameter(
+            "sag_reference", "{u}", "command at which the bridge is always on", None, 1e-6, start=100.0, estimated=False
         ),
     ),
     law=law,
@@ -35,5 +41,5 @@ EFFECT = Effect(
         "quadratic_drag": "coast-downs from high speed",
         "coulomb_friction": "coast-downs",
     },
-    screen=Screen("supply_sag"),
+    screen=Screen("supply_sag", grid={"sag_switched": (0.0, 1.0)}),
 )

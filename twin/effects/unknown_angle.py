@@ -14,8 +14,12 @@ HARMONICS = 6
 def law(q: Any, p: Any) -> Any:
     total = 0.0
     for k in range(1, HARMONICS + 1):
-        total = total + getattr(p, f"unknown_angle_sin_{k}") * sin(k * q.position)
-        total = total + getattr(p, f"unknown_angle_cos_{k}") * cos(k * q.position)
+        angle = k * p.unknown_angle_order * q.position
+        total = (
+            total
+            + getattr(p, f"unknown_angle_sin_{k}") * sin(angle)
+            + getattr(p, f"unknown_angle_cos_{k}") * cos(angle)
+        )
     return total
 
 
@@ -24,17 +28,20 @@ EFFECT = Effect(
     title="torque of unknown origin over the angle within a turn",
     station="load",
     slot="load",
-    parameters=tuple(
-        Parameter(f"unknown_angle_{wave}_{k}", "{x}/s^2", f"part that goes with {wave} of {k} times the angle", 0.0)
-        for k in range(1, HARMONICS + 1)
-        for wave in ("sin", "cos")
+    parameters=(
+        *(
+            Parameter(f"unknown_angle_{wave}_{k}", "{x}/s^2", f"part that goes with {wave} of {k} times the phase", 0.0)
+            for k in range(1, HARMONICS + 1)
+            for wave in ("sin", "cos")
+        ),
+        Parameter("unknown_angle_order", "1", "times a turn that it repeats", None, 1e-3, start=1.0, estimated=False),
     ),
     law=law,
     depends_on=("position",),
     promises=frozenset({"memoryless"}),
     sentence=(
-        "A torque that repeats with every turn acts on the link and has none of the known shapes; "
-        "{unknown_angle_sin_1} and {unknown_angle_cos_1} of it go once per turn."
+        "A torque that repeats {unknown_angle_order} times a turn acts on the link and has none of the known shapes; "
+        "{unknown_angle_sin_1} and {unknown_angle_cos_1} of it are its first wave."
     ),
     reference="Davis, Fourier Series and Orthogonal Functions, 1963",
     confused_with={

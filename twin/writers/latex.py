@@ -63,6 +63,8 @@ SYMBOLS: dict[str, str] = {
     "disturbance_frequency": "f_{d}",
     "disturbance_phase": r"\varphi_{d}",
     "supply_sag": "s",
+    "sag_switched": "w_{s}",
+    "sag_reference": "u_{s}",
     "saturation_limit": r"u_{\max}",
     "fade": r"\kappa",
     "fade_time": "T_{h}",
