@@ -349,10 +349,14 @@ def _nameless(found: Search, left: unknown.Leftover) -> Point:
 
 
 def _outdone(found: Search, nameless: Point) -> bool:
-    """Whether what has no name is what a recording speaks for, and no name."""
+    """Whether what has no name is what a recording speaks for: the names earn less than half of what it does.
+
+    Every real friction departs a little from its name, and a curve that may take any shape follows it.
+    """
     unit = compare.worth([found.last])
-    gain = compare.criterion(found.last, unit) - compare.criterion(nameless, unit)
-    return gain > compare.LEAST and explain.shows(found.cases, found.last, nameless)
+    first, last, free = (compare.criterion(p, unit) for p in (found.first, found.last, nameless))
+    ahead = last - free
+    return ahead > max(compare.LEAST, first - last) and explain.shows(found.cases, found.last, nameless)
 
 
 def _next(found: Search) -> Experiment:
