@@ -100,7 +100,7 @@ def test_a_rival_takes_its_share_and_a_larger_model_none(also):
 @pytest.mark.parametrize(
     ("last", "nameless", "outdone"),
     [
-        (1000.0, 900.0, False),  # a name that does most of it stands, though a free curve follows every real thing closer
+        (1000.0, 900.0, False),  # a free curve follows every real thing closer than its name
         (2900.0, 1000.0, True),
         (3000.0, 2900.0, True),  # nothing was named
         (3000.0, 2990.0, False),
