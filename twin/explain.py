@@ -141,7 +141,7 @@ def plausible(cases: Sequence[Case], point: Point) -> bool:
     """Whether the fit still is what its name says.
 
     A ripple has repeated, a disturbance comes from outside, a spring is more than a constant, an elastic joint has a
-    motor on its other side.
+    motor on its other side; a lag is not lost between two readings, and friction that falls with speed falls at one.
     """
     places = np.concatenate([c.recording.output[np.isfinite(c.recording.output)] for c in cases])
     turns = point.values.get("ripple_order", math.inf) * float(np.ptp(places)) / (2.0 * math.pi)
@@ -152,7 +152,10 @@ def plausible(cases: Sequence[Case], point: Point) -> bool:
     varies = abs(point.values.get("spring_rest", middle) - middle) <= 2.0 * float(np.ptp(places))
     least, _ = likelihood.bounds_of("motor_share")
     both = "joint_frequency" not in point.values or point.values["motor_share"] > 1.5 * least
-    return turns >= 2.0 and cycles >= 2.0 and outside and varies and both
+    least, _ = likelihood.bounds_of("stribeck_velocity")
+    falls = point.values.get("stribeck_velocity", math.inf) > 2.0 * least
+    late = point.values.get("lag_time", math.inf) > 0.1 * max(likelihood.step_of(c) for c in cases)
+    return turns >= 2.0 and cycles >= 2.0 and outside and varies and both and falls and late
 
 
 def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
