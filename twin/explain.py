@@ -260,8 +260,8 @@ def compete(
         for h in found:
             best[h.added] = min(best.get(h.added, h), h, key=lambda o: o.deviance)
 
-    keep([_finish(cases, h, held, density) for h in known])
     with ThreadPoolExecutor(2) as pool:
+        keep(list(pool.map(lambda h: _finish(cases, h, held, density), known)))
         for _ in range(AGAIN):
             near = contest(cases, before, candidates)[:NEAR]
             keep(list(pool.map(lambda h: _finish(cases, h, held, density), near)))
@@ -282,8 +282,10 @@ def compete(
         bar = before.deviance - CLOSE * (before.deviance - leaders[0].deviance)
         close = [h for h in sorted(best.values(), key=lambda h: h.deviance)[:NEAR] if h.deviance < bar]
         keep(list(pool.map(lambda h: Hypothesis(h.added, deepen(cases, h.point, held)), close)))
-    rivals = sorted(best.values(), key=lambda h: (not plausible(cases, h.point), compare.criterion(h.point, unit)))
-    earnest = (h for h in rivals if plausible(cases, h.point) and compare.earns(before, h.point))
+    ranked = sorted(best.values(), key=lambda h: compare.criterion(h.point, unit))
+    sound = [h for h in ranked if plausible(cases, h.point)]
+    rivals = [*sound, *(h for h in ranked if h not in sound)]
+    earnest = (h for h in sound if compare.earns(before, h.point))
     winner = next((h for h in earnest if shows(cases, before, h.point)), None)
     first = rivals[0] if winner is None else winner
     rivals = [first, *(h for h in rivals if h is not first)]

@@ -404,7 +404,7 @@ def diagnose(
     lap("search")
     case, lacking = _telling(found)
     left = [lacking, unknown.leftover(case, found.last.structure, found.last.values)]
-    tell("drawing a term for what has no name", 0.85)
+    tell("trying shapes without a name", 0.85)
     nameless = _nameless(found, left[0])
     named = bool(set(found.last.structure.named) - set(first.named))
     verdict = "unexplained" if _outdone(found, nameless) else unknown.verdict(named, left[0], left[1])

@@ -118,7 +118,7 @@ def with_teeth(structure: Structure) -> Structure:
 def completed(structure: Structure, values: Mapping[str, float]) -> dict[str, float]:
     """Values of all the structure's parameters and of no others: those given, and the usual start of the rest.
 
-    Teeth and an elastic joint are the same spring: where one takes the other's place it is as stiff, within its bounds.
+    Teeth that take the place of an elastic joint begin as the same spring, as soft as teeth can be.
     """
     known = {**_springs(values), **values}
     return {p.name: known.get(p.name, p.start) for p in structure.parameters}
@@ -128,9 +128,8 @@ def _springs(values: Mapping[str, float]) -> dict[str, float]:
     """What stands for teeth in an elastic joint's values."""
     if "joint_frequency" not in values:
         return {}
-    softest, stiffest = likelihood.bounds_of("tooth_frequency")
-    frequency = min(max(values["joint_frequency"], softest), stiffest)
-    return {"tooth_frequency": frequency, "tooth_damping": values["joint_damping"]}
+    softest, _ = likelihood.bounds_of("tooth_frequency")
+    return {"tooth_frequency": softest, "tooth_damping": values["joint_damping"]}
 
 
 def with_steps(cases: Sequence[Case], structure: Structure) -> list[Case]:

@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,10 +146,15 @@ class Point:
         says how far the maximum may have moved (White's sandwich, Econometrica 50, 1982). Innovations that a
         slightly wrong model leaves correlated make the second larger; each standard error is the larger of the two.
         """
+        wider = np.sqrt(np.maximum(self._excess, 1.0))
+        return np.asarray(self.covariance * np.outer(wider, wider))
+
+    @cached_property
+    @_unheeded()
+    def _excess(self) -> FloatArray:
+        """Variances (n,) that the scatter of the slopes bears out, over those that the information promises."""
         plain = self.covariance
-        robust = plain @ self.scatter @ plain
-        wider = np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(plain), 1e-300), 1.0))
-        return np.asarray(plain * np.outer(wider, wider))
+        return np.asarray(np.diag(plain @ self.scatter @ plain) / np.maximum(np.diag(plain), 1e-300))
 
     @property
     @_unheeded()
@@ -159,9 +165,8 @@ class Point:
         """
         if not self.free:
             return 1.0
-        wider = np.diag(self.robust_covariance) / np.maximum(np.diag(self.covariance), 1e-300)
-        traced = wider[np.isfinite(wider)]
-        return float(np.median(traced)) if len(traced) else math.nan
+        traced = self._excess[np.isfinite(self._excess)]
+        return float(np.median(np.maximum(traced, 1.0))) if len(traced) else math.nan
 
     @property
     @_unheeded()
@@ -170,9 +175,7 @@ class Point:
 
         They then promise an information that the gradient's scatter gives the lie to.
         """
-        plain = self.covariance
-        said = np.diag(plain @ self.scatter @ plain) / np.maximum(np.diag(plain), 1e-300)
-        traced = said[np.isfinite(said)]
+        traced = self._excess[np.isfinite(self._excess)]
         return bool(len(traced)) and float(np.median(traced)) < CHAOS
 
 
