@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from twin import extend, fitting, identify, likelihood, package, recording
+from twin import extend, fitting, identify, likelihood, package, phrases, recording
 from twin.axis import Structure
 from twin.finding import Diagnosis
 from twin.likelihood import Point
@@ -268,7 +268,7 @@ def report(name: str, data: Path, quick: bool) -> str:
         f"  first model    {came.first}",
         f"  verdict        {found.verdict}",
         *(f"  effect         {f.id} ({100.0 * f.probability:.0f} %): {f.says}" for f in found.findings),
-        *(f"  undecided      {one} or {two}: {what}" for one, two, what in found.undecided),
+        *(f"  undecided      {phrases.doubt(u)}" for u in found.undecided),
         *(f"  remark         {said}" for said in found.remarks),
         f"  expected       {chosen.expected}",
         *(f"  numbers        {text}" for text in [_shown(chosen.numbers(found.after))] if text),
