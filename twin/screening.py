@@ -127,8 +127,10 @@ _DIRECT = ("drive_saturation", "motor_lag", "input_delay", "end_stop", "joint_el
 
 #: Candidates that repeat with a full turn: a linear axis has none.
 _TURNING = ("gravity", "position_dependent_friction", "encoder_eccentricity")
-#: Of these, the ones that only a full turn tells from other physics; gravity is known by its angle of rest.
-_WHOLE_TURN = ("position_dependent_friction", "encoder_eccentricity")
+#: Of these, the ones that only a curve over the angle tells from other physics; gravity is known by its angle of rest.
+_BENDING = ("position_dependent_friction", "encoder_eccentricity")
+#: Travel from which on a wave of one turn is seen to bend, rad.
+_BEND = 0.5 * math.pi
 #: Candidates that happen at a moment of their own: not at the same one of several recordings.
 _MOMENTARY = ("load_change", "periodic_disturbance")
 
@@ -143,8 +145,8 @@ def offered(cases: Sequence[Case], candidates: Sequence[str]) -> list[str]:
     out: set[str] = set()
     if first.output_unit.startswith("m"):
         out.update(_TURNING)
-    if not first.is_speed and max(float(np.nanmax(y) - np.nanmin(y)) for y in readings) < 1.8 * math.pi:
-        out.update(_WHOLE_TURN)
+    if not first.is_speed and max(float(np.nanmax(y) - np.nanmin(y)) for y in readings) < _BEND:
+        out.update(_BENDING)
     if len(cases) > 1:
         out.update(_MOMENTARY)
     if first.is_speed:
