@@ -28,6 +28,8 @@ Progress = Callable[[str, float], None]
 TRAINING = 0.7
 #: More effects than this at once are not looked for.
 MOST = 4
+#: So often at most is more looked for after one effect has taken another's place.
+TURNS = 2
 #: Criteria that differ by less leave two explanations undecided: 73 % to 27 %.
 UNSURE = 2.0 * compare.TEMPER
 #: A rival that had earned all but this share of what the winner did is tried in its place.
@@ -88,6 +90,45 @@ def _orphans(structure: Structure, effect: str) -> tuple[str, ...]:
     return tuple(i for i in EFFECTS[effect].includes if i not in BASE and i not in needed)
 
 
+def _grown(
+    cases: Sequence[Case], best: Point, known: Sequence[Hypothesis], candidates: Sequence[str],
+    held: Mapping[str, float], tell: Progress,
+) -> tuple[Point, list[Round]]:  # fmt: skip
+    """The model with what earns its place, one effect at a time, and the rounds, of which the last may have added none.
+
+    `known` are rivals of the first round that have been fitted already.
+    """
+    rounds: list[Round] = []
+    for n in range(MOST):
+        open_ = [c for c in candidates if c not in best.structure]
+        if not open_:
+            break
+        tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)
+        best = explain.rejudged(cases, best, held) if rounds else best
+        this = explain.compete(cases, best, known, open_, held)
+        rounds.append(this)
+        best, winner = this.before, this.rivals[0].point
+        if not this.won:
+            break
+        best = _plainer(cases, this, held)
+        known = [] if best is winner else [this.rivals[0]]
+    return best, rounds
+
+
+def _pruned(
+    cases: Sequence[Case], best: Point, begun: Point, held: Mapping[str, float]
+) -> tuple[Point, list[Point]]:  # fmt: skip
+    """The model without effects whose lack does not matter, and the smaller ones that it is held against."""
+    lesser: list[Point] = []
+    while fewer := _smaller(best.structure, begun.structure):
+        lesser = [*_fits(cases, best, held, fewer), begun]
+        less = _fair(best, lesser)
+        if less is best:
+            break
+        best = less
+    return best, lesser
+
+
 def search(
     recordings: Sequence[Recording],
     first: Structure,
@@ -101,41 +142,24 @@ def search(
     cases, rough = identify.start(recordings, first, held)
     cases, fine = identify.polish(cases, identify.refine(cases, identify.with_teeth(first), rough, held))
     best = explain.settle(cases, first, fine.values, held, explain.judged(cases, fine))
-    smallest = best.values
     candidates = screening.offered(cases, candidates)
     far = explain.contest(cases, rough[0], [c for c in candidates if c not in first])
     known = explain.from_afar(cases, far, held, best.density)
     rounds: list[Round] = []
-    for n in range(MOST):
-        open_ = [c for c in candidates if c not in best.structure]
-        if not open_:
+    for _ in range(TURNS):
+        best, more = _grown(cases, best, known, candidates, held, tell)
+        rounds += more
+        # What the last model is held against is judged as it is.
+        start = rounds[0].before if rounds else best
+        begun = explain.settle(cases, first, start.values, held, best.density)
+        best, lesser = _pruned(cases, best, begun, held)
+        begun = min([begun, *(q for q in lesser if q.structure == begun.structure)], key=lambda p: p.deviance)
+        swaps = _swapped(cases, best, rounds, held)
+        better = max(swaps, key=lambda w: _ahead(w.point, best), default=None)
+        if better is None or _ahead(better.point, best) <= 0.0:
             break
-        tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)
-        best = explain.rejudged(cases, best, held) if rounds else best
-        this = explain.compete(cases, best, known, open_, held)
-        rounds.append(this)
-        best, winner = this.before, this.rivals[0].point
-        if n == 0:
-            smallest = best.values
-        if not this.won:
-            break
-        best = _plainer(cases, this, held)
-        known = [] if best is winner else [this.rivals[0]]
-    # What the last model is held against is judged as it is.
-    begun = explain.settle(cases, first, smallest, held, best.density)
-    lesser: list[Point] = []
-    while fewer := _smaller(best.structure, first):
-        lesser = [*_fits(cases, best, held, fewer), begun]
-        less = _fair(best, lesser)
-        if less is best:
-            break
-        best = less
-    begun = min([begun, *(q for q in lesser if q.structure == begun.structure)], key=lambda p: p.deviance)
-    swaps = _swapped(cases, best, rounds, held)
-    better = max(swaps, key=lambda w: _ahead(w.point, best), default=None)
-    if better is not None and _ahead(better.point, best) > 0.0:
-        # The rival had lost beside what was still missing then; now it is the one that fits.
-        swaps = [Swap(better.rival, better.effect, best)]
+        # The rival had lost beside what was still missing then; now it is the one that fits, and more may show.
+        swaps, known = [Swap(better.rival, better.effect, best)], []
         best = better.point
         lesser = _fits(cases, best, held, _smaller(best.structure, first)) if lesser else []
     return Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
@@ -161,9 +185,10 @@ def _contest(rounds: Sequence[Round], last: Structure, effect: str) -> Contest:
     A rival that contains the effect and more does not deny it; one that is in the last model, too, took nothing away.
     """
     for this in reversed(rounds):
-        holders = [compare.criterion(h.point, this.unit) for h in this.rivals if effect in h.point.structure]
-        if effect not in this.before.structure and holders:
-            best = min(holders)
+        own = {h.added[0]: compare.criterion(h.point, this.unit) for h in this.rivals if effect in h.point.structure}
+        if effect not in this.before.structure and own:
+            # An effect that another one brought along stands for itself where it ran, too.
+            best = own.get(effect, min(own.values()))
             others = [h for h in this.rivals if effect not in h.point.structure and h.added[0] not in last]
             behind = tuple((h, compare.criterion(h.point, this.unit) - best) for h in others)
             return Contest(compare.criterion(this.before, this.unit) - best, behind)
@@ -183,7 +208,8 @@ def _swapped(cases: Sequence[Case], last: Point, rounds: Sequence[Round], held: 
                 starts = ({**own.values, **last.values}, {**last.values, **own.values})
                 tried = [explain.settle(cases, other, values, held, last.density) for values in starts]
                 point = explain.deepen(cases, min(tried, key=lambda p: p.deviance), held)
-                out.append(Swap(effect, h.added[0], point))
+                if explain.plausible(cases, point):
+                    out.append(Swap(effect, h.added[0], point))
     return out
 
 
