@@ -17,6 +17,7 @@ SANE: dict[str, tuple[float, float]] = {
     "fade_reference": (50.0, 50.0),
     "supply_sag": (0.002, 0.006),
     "sag_switched": (0.0, 1.0),
+    "sag_emf": (0.3, 1.0),
     "sag_reference": (60.0, 100.0),
     "saturation_limit": (30.0, 60.0),
     "dead_band_forward": (3.0, 9.0),

@@ -6,15 +6,16 @@ from typing import Any
 
 from twin.effects.effect import Effect, Screen
 from twin.quantities import Parameter
-from twin.words import absolute, maximum
+from twin.words import absolute, maximum, where
 
 
 def law(q: Any, p: Any) -> Any:
-    # The motor's current goes with what is left of the command after the back-EMF. A switched bridge draws it from the
-    # supply only while it is on, a linear amplifier always.
-    current = absolute(q.command - q.emf)
-    drawn = current * (1.0 - p.sag_switched * (1.0 - absolute(q.command) / p.sag_reference))
-    return q.command * maximum(1.0 - p.supply_sag * drawn, 0.1)
+    # The current goes with what the sagging supply gives less the back-EMF, so that both are solved for together; what
+    # the motor returns raises nothing. A switched bridge draws from the supply only while it is on, a linear one always.
+    size = absolute(q.command)
+    against = p.sag_emf * q.emf * (2.0 * where(q.command > 0.0, 1.0, 0.0) - 1.0)
+    on = p.supply_sag * (1.0 - p.sag_switched * (1.0 - size / p.sag_reference))
+    return q.command * maximum(1.0 - on * maximum(size - against, 0.0) / (1.0 + on * size), 0.1)
 
 
 EFFECT = Effect(
@@ -27,6 +28,7 @@ EFFECT = Effect(
         Parameter(
             "sag_switched", "1", "how much of the current flows only while the bridge is on", None, 0.0, 1.0, 0.5
         ),
+        Parameter("sag_emf", "1", "how much of the viscous friction is the motor's back-EMF", None, 0.0, 1.0, 0.8),
         Parameter(
             "sag_reference", "{u}", "command at which the bridge is always on", None, 1e-6, start=100.0, estimated=False
         ),

@@ -64,6 +64,7 @@ SYMBOLS: dict[str, str] = {
     "disturbance_phase": r"\varphi_{d}",
     "supply_sag": "s",
     "sag_switched": "w_{s}",
+    "sag_emf": r"\rho_{s}",
     "sag_reference": "u_{s}",
     "saturation_limit": r"u_{\max}",
     "fade": r"\kappa",
