@@ -11,7 +11,7 @@ from twin.words import absolute, maximum, where
 
 def law(q: Any, p: Any) -> Any:
     # The current goes with what the sagging supply gives less the back-EMF, so that both are solved for together; what
-    # the motor returns raises nothing. A switched bridge draws from the supply only while it is on, a linear one always.
+    # the motor returns raises nothing. A switched bridge draws current only while it is on, a linear one always.
     size = absolute(q.command)
     against = p.sag_emf * q.emf * (2.0 * where(q.command > 0.0, 1.0, 0.0) - 1.0)
     on = p.supply_sag * (1.0 - p.sag_switched * (1.0 - size / p.sag_reference))
