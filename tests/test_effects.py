@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 import sympy
 from axis_runs import PAYLOAD, drive, run, sane, steps
+from hypothesis import given
+from hypothesis import strategies as st
 
 from twin import kernel
 from twin.axis import KNOWN, Structure
@@ -148,6 +150,23 @@ def test_memoryless_effects_need_only_the_state_of_motion(effect):
     same = np.allclose(tail, whole[half:], rtol=0.0, atol=1e-12)
     twisted = effect.id in {"joint_elasticity", "tooth_compliance"}  # their state is motion, too
     assert same == ("state" not in effect.promises or twisted)
+
+
+@given(
+    command=st.floats(-100.0, 100.0), emf=st.floats(-60.0, 60.0), sag=st.floats(0.0, 0.008),
+    switched=st.floats(0.0, 1.0), electric=st.floats(0.0, 1.0),
+)  # fmt: skip
+def test_a_sagging_supply_gives_what_its_own_current_leaves(command, emf, sag, switched, electric):
+    """Independently: the current by the law of Ohm, the voltage that it leaves, the current at that voltage, ..."""
+    p = SimpleNamespace(supply_sag=sag, sag_switched=switched, sag_emf=electric, sag_reference=100.0)
+    on = 1.0 - switched * (1.0 - abs(command) / 100.0)
+    side = 1.0 if command > 0.0 else -1.0
+    voltage = 1.0
+    for _ in range(400):
+        current = max(abs(command) * voltage - electric * emf * side, 0.0)
+        voltage += 0.5 * (1.0 - sag * on * current - voltage)
+    given_out = EFFECTS["supply_sag"].law(SimpleNamespace(command=command, emf=emf), p)
+    assert given_out == pytest.approx(command * max(voltage, 0.1), rel=1e-6, abs=1e-9)
 
 
 # Units --------------------------------------------------------------------------------------------------

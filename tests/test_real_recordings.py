@@ -45,6 +45,8 @@ def test_only_what_such_recordings_can_show_is_offered() -> None:
     assert "gravity" in several and not {"load_change", "periodic_disturbance"} & set(several)
     short = screening.offered(made("rad", 1, swing=0.3), CANDIDATES)
     assert "gravity" in short and "encoder_eccentricity" not in short
+    third = screening.offered(made("rad", 1, swing=1.0), CANDIDATES)
+    assert {"encoder_eccentricity", "position_dependent_friction"} <= set(third)
     speeds = screening.offered(made("rad/s", 2), CANDIDATES)
     assert "drive_saturation" in speeds and not {"gravity", "spring", "torque_ripple"} & set(speeds)
 

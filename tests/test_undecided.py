@@ -121,3 +121,13 @@ def test_the_user_is_told_of_both():
     for words in ("gravity on the link or spring", "62\u202f%", "37\u202f%", "travel over more than half a turn"):
         assert words in page
 
+
+
+def test_an_effect_that_came_along_with_another_stands_for_itself():
+    """Of a winner that brought dry friction only that is left: what was better than dry friction alone is a rival."""
+    tried = {"position_dependent_friction": 1000.0, "load_dependent_friction": 1020.0, "coulomb_friction": 1030.0}
+    before, rivals = point(3000.0), tuple(Hypothesis((e,), point(c, e)) for e, c in tried.items())
+    last = Structure.of([*BASE, "coulomb_friction"])
+    contest = extend._contest([Round(before, rivals, 1.0)], last, "coulomb_friction")
+    assert contest.gain == 1970.0
+    assert [(h.added, behind) for h, behind in contest.rivals] == [(("load_dependent_friction",), -10.0)]
