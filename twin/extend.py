@@ -34,6 +34,8 @@ TURNS = 2
 UNSURE = 2.0 * compare.TEMPER
 #: A rival that had earned all but this share of what the winner did is tried in its place.
 NARROW = 0.1
+#: Three time constants, but no less and no more than this, a free run starts ahead of what is judged, s.
+_LEAD = (1.0, 5.0)
 _TIMED = ("load_change", "thermal_fade", "periodic_disturbance")
 
 
@@ -236,24 +238,20 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[tuple[
     return [r.part(0.0, t) for r, t in cut], cut
 
 
-def _free_run(fmu: Path, recording: Recording, since: float, timed: bool, closed: bool) -> np.ndarray:
+def _free_run(fmu: Path, recording: Recording, since: float, lead: float, closed: bool) -> np.ndarray:
     """What the FMU says the sensor reads from `since` on, started there from the recorded state.
 
-    Physics that depends on the time since the start must run from the start; the run is then moved to the
-    recorded position at `since`, because only what happens afterwards is judged.
+    It starts `lead` seconds ahead, in what was fitted, so that lag, gap and delay line are filled and an error of the
+    first speed has died down when it counts. The run is then moved to the recorded position at `since`, because only
+    what happens afterwards is judged.
     """
-    keep = recording.time >= since
-    if since > 0.0 and not timed:
-        # A second ahead, in what was fitted, so that lag, gap and delay line are filled when it counts.
-        begin = max(since - 1.0, 0.0)
-        part = recording.part(begin, float(recording.time[-1]))
-        ran = package.replay(fmu, part, closed=closed)
-        return _seen(ran, recording)[recording.time[recording.time >= begin] >= since]
-    ran = package.replay(fmu, recording, closed=closed)
-    seen = _seen(ran, recording)[keep]
+    begin = max(since - lead, 0.0)
+    part = recording.part(begin, float(recording.time[-1]))
+    seen = _seen(package.replay(fmu, part, closed=closed), recording)[-int(np.sum(recording.time >= since)) :]
     if since > 0.0 and not recording.is_speed:
-        first = np.flatnonzero(np.isfinite(recording.output[keep]))[0]
-        seen = seen + recording.output[keep][first] - seen[first]
+        recorded = recording.output[recording.time >= since]
+        first = np.flatnonzero(np.isfinite(recorded))[0]
+        seen = seen + recorded[first] - seen[first]
     return seen
 
 
@@ -268,11 +266,13 @@ def traces(
     the rig's own loop.
     """
     timed = any(e in m.structure for m in (before, after) for e in _TIMED)
+    # Physics that depends on the time since the start must run from the start.
+    lead = math.inf if timed else float(np.clip(3.0 / max(after.values["viscous_friction"], 1e-9), *_LEAD))
     out = []
     with tempfile.TemporaryDirectory() as folder:
         fmus = [package.export(m, Path(folder) / f"{i}.fmu") for i, m in enumerate((before, after))]
         for recording, since in recordings:
-            runs = [_free_run(fmu, driven(recording), since, timed, closed) for fmu in fmus]
+            runs = [_free_run(fmu, driven(recording), since, lead, closed) for fmu in fmus]
             keep = recording.time >= since
             out.append(Trace(recording.name, role, recording.time[keep], recording.output[keep], runs[0], runs[1]))
     return out
