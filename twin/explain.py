@@ -119,6 +119,27 @@ def rejudged(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> 
     return settle(cases, point.structure, point.values, held, density)
 
 
+def relocated(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
+    """The point, or a better one where gap, shares and teeth are looked for anew.
+
+    What was missing until now may have led them astray, and no slope leads back.
+    """
+    rigid = point.structure.without("tooth_compliance")
+    loose = identify.with_steps(cases, rigid)
+
+    def looked(memory: float) -> Point:
+        rough = identify.coarse(loose, rigid, identify.completed(rigid, point.values), held, memory)
+        values = identify.completed(point.structure, {**point.values, **rough.values})
+        mine = identify.with_steps(cases, point.structure)
+        begun = identify.likeliest_teeth(mine, point.structure, values, point.density)
+        return settle(cases, point.structure, begun, held, point.density)
+
+    if "backlash" not in rigid or "joint_elasticity" in rigid:
+        return point
+    with ThreadPoolExecutor(2) as pool:
+        return min([point, *pool.map(looked, identify.MEMORIES)], key=lambda p: p.deviance)
+
+
 def deepen(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
     """The point, or a better one by way of the noise density that the recording asks for, where valleys are wider."""
     mine = identify.with_steps(cases, point.structure)
@@ -168,6 +189,16 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
     memory = likelihood.memory_of(cases[0], before.density)
     shorter = [memory / times for times in FASTER if memory / times >= BRIEFEST]
     return all(_prefers(cases, before, after, likelihood.density_of(cases[0], m)) for m in shorter)
+
+
+def _showing(
+    cases: Sequence[Case], before: Point, h: Hypothesis, held: Mapping[str, float]
+) -> Hypothesis | None:  # fmt: skip
+    """The hypothesis where it shows, if need be where gap, shares and teeth are looked for anew; None if nowhere."""
+    if shows(cases, before, h.point):
+        return h
+    other = relocated(cases, h.point, held)
+    return Hypothesis(h.added, other) if other is not h.point and shows(cases, before, other) else None
 
 
 def _prefers(cases: Sequence[Case], before: Point, after: Point, density: float) -> bool:
@@ -286,7 +317,7 @@ def compete(
     sound = [h for h in ranked if plausible(cases, h.point)]
     rivals = [*sound, *(h for h in ranked if h not in sound)]
     earnest = (h for h in sound if compare.earns(before, h.point))
-    winner = next((h for h in earnest if shows(cases, before, h.point)), None)
+    winner = next((shown for h in earnest if (shown := _showing(cases, before, h, held))), None)
     first = rivals[0] if winner is None else winner
-    rivals = [first, *(h for h in rivals if h is not first)]
+    rivals = [first, *(h for h in rivals if h.added != first.added)]
     return Round(before, tuple(rivals), compare.worth([before, first.point]), winner is not None)

@@ -106,7 +106,7 @@ def _grown(
         if not open_:
             break
         tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)
-        best = explain.rejudged(cases, best, held) if rounds else best
+        best = explain.relocated(cases, explain.rejudged(cases, best, held), held) if rounds else best
         this = explain.compete(cases, best, known, open_, held)
         rounds.append(this)
         best, winner = this.before, this.rivals[0].point
