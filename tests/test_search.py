@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin import explain, extend, identify, kernel, likelihood
+from twin import compare, explain, extend, identify, kernel, likelihood
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.recording import Recording
@@ -47,7 +47,7 @@ def test_what_only_a_long_memory_prefers_does_not_show(monkeypatch) -> None:
     memory = 0.1
     density = likelihood.density_of(case, memory)
     point = likelihood.Point(Structure.of(BASE), {}, density, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
-    larger = replace(point, values={"gain": 1.0})
+    larger = replace(point, values={"gain": 1.0}, deviance=-10.0 * compare.LEAST)
 
     def judged(better_until: float):
         def climb(cases, structure, values, density, free, rounds, tolerance):
@@ -59,3 +59,23 @@ def test_what_only_a_long_memory_prefers_does_not_show(monkeypatch) -> None:
 
     assert judged(8.0)
     assert not judged(3.0) and not judged(1.5)
+
+
+def test_what_a_rough_likelihood_gives_anywhere_is_no_gain(monkeypatch) -> None:
+    """A gain counts for what it is above the changes that next to nothing makes."""
+    structure = Structure.of(["inertia", "viscous_friction", "backlash"])
+    blank = Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4)
+    case = likelihood.prepare(blank, structure)
+    density = likelihood.density_of(case, explain.BRIEFEST)
+    before = likelihood.Point(
+        structure, {"backlash_gap": 0.02}, density, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0)
+    )
+    after = replace(before, values={"backlash_gap": 0.03}, deviance=-3.0 * compare.LEAST)
+    for jump, shown in ((0.0, True), (1.0, True), (4.0, False)):
+
+        def trembling(cases, structure, trials, density, jump=jump):
+            own = after if trials[0]["backlash_gap"] > 0.025 else before
+            return [own.deviance + jump * compare.LEAST * (-1.0) ** i for i in range(len(trials))]
+
+        monkeypatch.setattr(likelihood, "deviances", trembling)
+        assert explain.shows([case], before, after) is shown

@@ -44,10 +44,10 @@ def criterion(point: Point, unit: float) -> float:
     return point.deviance / unit + PRICE * len(point.free)
 
 
-def earns(before: Point, after: Point) -> bool:
-    """Whether an addition earns its place."""
+def earns(before: Point, after: Point, doubt: float = 0.0) -> bool:
+    """Whether an addition earns its place, even were its deviance larger by `doubt`."""
     unit = worth([before, after])
-    return criterion(before, unit) - criterion(after, unit) > LEAST
+    return criterion(before, unit) - criterion(after, unit) - doubt / unit > LEAST
 
 
 def weights(criteria: Sequence[float]) -> FloatArray:

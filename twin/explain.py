@@ -42,6 +42,8 @@ AGAIN = 3
 LONG, SHORT = 0.1, 0.05
 #: Noise densities within this factor judge alike.
 ALIKE = 1.5
+#: Changes of teeth and gap that matter to nothing but the order of bounces, as shares of their values.
+TREMBLE = {"tooth_frequency": 0.01, "tooth_damping": 0.01, "backlash_gap": 0.001}
 #: What is there shows to filters that forget so many times as fast, too, down to this memory, s.
 FASTER, BRIEFEST = (2.0, 4.0), 0.02
 
@@ -58,6 +60,8 @@ class Hypothesis:
         return self.point.deviance
 
 
+#: Where a wave has no size nothing holds its phase, and a climb throws it further than this, rad.
+FLUNG = 100.0
 #: Share of a disturbance's wave that follows the motion from which on it does not come from outside.
 _OWN = 0.8
 
@@ -162,7 +166,8 @@ def plausible(cases: Sequence[Case], point: Point) -> bool:
     """Whether the fit still is what its name says.
 
     A ripple has repeated, a disturbance comes from outside, a spring is more than a constant, an elastic joint has a
-    motor on its other side; a lag is not lost between two readings, and friction that falls with speed falls at one.
+    motor on its other side; a lag is not lost between two readings, and friction that falls with speed falls at one;
+    a wave has a size, or its phase is flung about.
     """
     places = np.concatenate([c.recording.output[np.isfinite(c.recording.output)] for c in cases])
     turns = point.values.get("ripple_order", math.inf) * float(np.ptp(places)) / (2.0 * math.pi)
@@ -176,29 +181,41 @@ def plausible(cases: Sequence[Case], point: Point) -> bool:
     least, _ = likelihood.bounds_of("stribeck_velocity")
     falls = point.values.get("stribeck_velocity", math.inf) > 2.0 * least
     late = point.values.get("lag_time", math.inf) > 0.1 * max(likelihood.step_of(c) for c in cases)
-    return turns >= 2.0 and cycles >= 2.0 and outside and varies and both and falls and late
+    phases = [s.pair[0] for e in point.structure.effects if (s := e.screen) is not None and s.pair is not None]
+    waves = all(abs(point.values[n]) < FLUNG for n in phases)
+    return turns >= 2.0 and cycles >= 2.0 and outside and varies and both and falls and late and waves
+
+
+def roughness(cases: Sequence[Case], point: Point) -> float:
+    """How much the deviance changes, in the median, where teeth and gap change by next to nothing.
+
+    Where a motor rattles on and on, every bounce depends on all those before: each value has a likelihood of its own,
+    and what is gained by another may be luck.
+    """
+    mine = identify.with_steps(cases, point.structure)
+    trembled = [
+        {**point.values, n: (1.0 + sign * share) * point.values[n]}
+        for n, share in TREMBLE.items()
+        for sign in (-1.0, 1.0)
+        if n in point.values
+    ]
+    found = likelihood.deviances(mine, point.structure, trembled, point.density)
+    return float(np.median(np.abs(np.array(found) - point.deviance))) if found else 0.0
 
 
 def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
-    """Whether filters that forget faster prefer the larger model, too, both adapted to them.
+    """Whether the gain rises above the roughness of the likelihood, and filters that forget faster prefer the larger
+    model, too, both adapted to them.
 
     A light motor that rattles in its gap bounces as no model foresees, and a filter that trusts the model longer than
     a bounce rewards whatever moves the bounces to where they happened to be. A shorter memory asks for the same
     physics and is not led astray so far.
     """
+    if not compare.earns(before, after, max(roughness(cases, before), roughness(cases, after))):
+        return False
     memory = likelihood.memory_of(cases[0], before.density)
     shorter = [memory / times for times in FASTER if memory / times >= BRIEFEST]
     return all(_prefers(cases, before, after, likelihood.density_of(cases[0], m)) for m in shorter)
-
-
-def _showing(
-    cases: Sequence[Case], before: Point, h: Hypothesis, held: Mapping[str, float]
-) -> Hypothesis | None:  # fmt: skip
-    """The hypothesis where it shows, if need be where gap, shares and teeth are looked for anew; None if nowhere."""
-    if shows(cases, before, h.point):
-        return h
-    other = relocated(cases, h.point, held)
-    return Hypothesis(h.added, other) if other is not h.point and shows(cases, before, other) else None
 
 
 def _prefers(cases: Sequence[Case], before: Point, after: Point, density: float) -> bool:
@@ -273,6 +290,14 @@ def _instead(
     return Hypothesis((effect,), settle(cases, longer, begun, held, point.density))
 
 
+def _taught(cases: Sequence[Case], before: Point, h: Hypothesis, held: Mapping[str, float]) -> Point:
+    """The smaller model, or a better one from where the larger stands: what that found may have been another valley."""
+    if not compare.earns(before, h.point):
+        return before
+    smaller = settle(cases, before.structure, h.point.values, held, before.density)
+    return min(before, smaller, key=lambda p: p.deviance)
+
+
 def compete(
     cases: Sequence[Case],
     before: Point,
@@ -316,8 +341,17 @@ def compete(
     ranked = sorted(best.values(), key=lambda h: compare.criterion(h.point, unit))
     sound = [h for h in ranked if plausible(cases, h.point)]
     rivals = [*sound, *(h for h in ranked if h not in sound)]
-    earnest = (h for h in sound if compare.earns(before, h.point))
-    winner = next((shown for h in earnest if (shown := _showing(cases, before, h, held))), None)
+    winner = None
+    for h in sound:
+        before = _taught(cases, before, h, held)
+        if not compare.earns(before, h.point):
+            continue
+        if not shows(cases, before, h.point):
+            h = Hypothesis(h.added, relocated(cases, h.point, held))
+            before = _taught(cases, before, h, held)
+        if compare.earns(before, h.point) and shows(cases, before, h.point):
+            winner = h
+            break
     first = rivals[0] if winner is None else winner
     rivals = [first, *(h for h in rivals if h.added != first.added)]
     return Round(before, tuple(rivals), compare.worth([before, first.point]), winner is not None)
