@@ -290,12 +290,17 @@ def _instead(
     return Hypothesis((effect,), settle(cases, longer, begun, held, point.density))
 
 
-def _taught(cases: Sequence[Case], before: Point, h: Hypothesis, held: Mapping[str, float]) -> Point:
-    """The smaller model, or a better one from where the larger stands: what that found may have been another valley."""
+def _tested(
+    cases: Sequence[Case], before: Point, h: Hypothesis, held: Mapping[str, float]
+) -> tuple[Point, bool]:  # fmt: skip
+    """The smaller model, or a better one from where the larger stands: what that found may have been another valley.
+    And whether the larger one earns its place beside it, and shows.
+    """
     if not compare.earns(before, h.point):
-        return before
+        return before, False
     smaller = settle(cases, before.structure, h.point.values, held, before.density)
-    return min(before, smaller, key=lambda p: p.deviance)
+    before = min(before, smaller, key=lambda p: p.deviance)
+    return before, compare.earns(before, h.point) and shows(cases, before, h.point)
 
 
 def compete(
@@ -343,13 +348,11 @@ def compete(
     rivals = [*sound, *(h for h in ranked if h not in sound)]
     winner = None
     for h in sound:
-        before = _taught(cases, before, h, held)
-        if not compare.earns(before, h.point):
-            continue
-        if not shows(cases, before, h.point):
+        before, stands = _tested(cases, before, h, held)
+        if not stands and compare.earns(before, h.point):
             h = Hypothesis(h.added, relocated(cases, h.point, held))
-            before = _taught(cases, before, h, held)
-        if compare.earns(before, h.point) and shows(cases, before, h.point):
+            before, stands = _tested(cases, before, h, held)
+        if stands:
             winner = h
             break
     first = rivals[0] if winner is None else winner

@@ -484,18 +484,25 @@ def diagnose(
         faults=tuple(f for r in recordings for f in r.faults),
         experiment=designed,
         undecided=_undecided(found),
-        remarks=tuple(_remarks(fit, findings)),
+        remarks=tuple(_remarks(found, fit, findings)),
         seconds=seconds,
     )
 
 
-def _remarks(fit: Mapping[str, Mapping[str, Fitness]], findings: Sequence[Finding]) -> list[str]:
-    """Where the criteria disagree."""
+def _remarks(found: Search, fit: Mapping[str, Mapping[str, Fitness]], findings: Sequence[Finding]) -> list[str]:
+    """Where the criteria disagree, and where none of them says much."""
+    said = []
     held_out = fit["holdout"]
     if findings and held_out["after"].rmse > held_out["before"].rmse:
-        return [
+        said.append(
             "The likelihood prefers the larger model but its free run on held-out data is worse "
             f"({held_out['after'].nrmse_percent:.2f} % against {held_out['before'].nrmse_percent:.2f} %): "
             "treat the finding with care."
-        ]
-    return []
+        )
+    if explain.roughness(found.cases, found.last) > compare.LEAST * compare.worth([found.last]):
+        said.append(
+            "The motor rattles in its gap so much that next to nothing, 1 % of the teeth's frequency, changes the "
+            "likelihood by more than an effect must earn, and effects may be hidden by that: record with fewer "
+            "reversals, larger ones, or a load that keeps the teeth together."
+        )
+    return said
