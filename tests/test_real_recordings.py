@@ -16,11 +16,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import manifests
 import real_recordings
 
-from twin import explain, extend, fitting, identify, kernel, likelihood, recording, screening
+from twin import extend, fitting, identify, kernel, likelihood, recording, screening
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES
 from twin.extend import Search
 from twin.model import Model
+from twin.plausibility import plausible
 from twin.recording import Loop, Recording
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -58,7 +59,7 @@ def test_a_disturbance_in_the_rhythm_of_the_motion_is_not_one_from_outside(frequ
     values = {p.name: p.start for p in structure.parameters}
     values |= {"disturbance_frequency": frequency, "disturbance_phase": 0.3, "disturbance": 1.0}
     point = likelihood.evaluate(cases, structure, values, 1.0)
-    assert explain.plausible(cases, point) == outside
+    assert plausible(cases, point) == outside
 
 
 def test_held_and_rounded_readings_do_not_run_away_with_the_noise_density() -> None:

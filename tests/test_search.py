@@ -9,6 +9,7 @@ import numpy as np
 from twin import compare, explain, extend, identify, kernel, likelihood
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
+from twin.plausibility import plausible
 from twin.recording import Recording
 
 
@@ -79,3 +80,25 @@ def test_what_a_rough_likelihood_gives_anywhere_is_no_gain(monkeypatch) -> None:
 
         monkeypatch.setattr(likelihood, "deviances", trembling)
         assert explain.shows([case], before, after) is shown
+
+
+def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
+    """Each rule at a value that keeps the name and at one that does not; the rest of the model stays as it is."""
+    time = 0.002 * np.arange(5000)
+    turning = Recording("turning", time, np.full(5000, 30.0), 3.0 * np.sin(time), "%", "rad", 1e-4)
+    for effect, name, kept, bent in (
+        ("torque_ripple", "ripple_order", 7.0, 1.0),
+        ("periodic_disturbance", "disturbance_frequency", 1.7, 0.1),
+        ("spring", "spring_rest", 5.0, 50.0),
+        ("joint_elasticity", "motor_share", 0.3, 0.02),
+        ("stribeck_friction", "stribeck_velocity", 0.2, likelihood.bounds_of("stribeck_velocity")[0]),
+        ("motor_lag", "lag_time", 0.004, 0.0001),
+        ("encoder_eccentricity", "eccentricity", 0.03, 0.5),
+        ("gravity", "gravity_angle", -1.0, -2562.0),
+    ):
+        structure = Structure.of([*BASE, effect])
+        cases = [likelihood.prepare(turning, structure)]
+        values = identify.completed(structure, {})
+        for value, right in ((kept, True), (bent, False)):
+            point = likelihood.evaluate(cases, structure, {**values, name: value}, 1.0)
+            assert plausible(cases, point) is right, (effect, value)

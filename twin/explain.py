@@ -15,7 +15,6 @@ their optimum before they are compared, so that a badly converged model makes no
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -27,6 +26,7 @@ from twin import compare, identify, likelihood, screening
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.likelihood import Case, Point
+from twin.plausibility import plausible
 from twin.screening import Entry
 
 FloatArray = NDArray[np.float64]
@@ -58,12 +58,6 @@ class Hypothesis:
     @property
     def deviance(self) -> float:
         return self.point.deviance
-
-
-#: Where a wave has no size nothing holds its phase, and a climb throws it further than this, rad.
-FLUNG = 100.0
-#: Share of a disturbance's wave that follows the motion from which on it does not come from outside.
-_OWN = 0.8
 
 
 def _climb(cases: Sequence[Case], base: Point, entry: Entry) -> Hypothesis:
@@ -162,30 +156,6 @@ def sharpened(cases: Sequence[Case], point: Point) -> Point:
     return found if found.density < point.density else point
 
 
-def plausible(cases: Sequence[Case], point: Point) -> bool:
-    """Whether the fit still is what its name says.
-
-    A ripple has repeated, a disturbance comes from outside, a spring is more than a constant, an elastic joint has a
-    motor on its other side; a lag is not lost between two readings, and friction that falls with speed falls at one;
-    a wave has a size, or its phase is flung about.
-    """
-    places = np.concatenate([c.recording.output[np.isfinite(c.recording.output)] for c in cases])
-    turns = point.values.get("ripple_order", math.inf) * float(np.ptp(places)) / (2.0 * math.pi)
-    frequency = point.values.get("disturbance_frequency", math.inf)
-    cycles = frequency * max(float(c.drive.time[-1]) for c in cases)
-    outside = not math.isfinite(frequency) or all(_follows(c, point.values) < _OWN for c in cases)
-    middle = 0.5 * float(places.max() + places.min())
-    varies = abs(point.values.get("spring_rest", middle) - middle) <= 2.0 * float(np.ptp(places))
-    least, _ = likelihood.bounds_of("motor_share")
-    both = "joint_frequency" not in point.values or point.values["motor_share"] > 1.5 * least
-    least, _ = likelihood.bounds_of("stribeck_velocity")
-    falls = point.values.get("stribeck_velocity", math.inf) > 2.0 * least
-    late = point.values.get("lag_time", math.inf) > 0.1 * max(likelihood.step_of(c) for c in cases)
-    phases = [s.pair[0] for e in point.structure.effects if (s := e.screen) is not None and s.pair is not None]
-    waves = all(abs(point.values[n]) < FLUNG for n in phases)
-    return turns >= 2.0 and cycles >= 2.0 and outside and varies and both and falls and late and waves
-
-
 def roughness(cases: Sequence[Case], point: Point) -> float:
     """How much the deviance changes, in the median, where teeth and gap change by next to nothing.
 
@@ -227,26 +197,6 @@ def _prefers(cases: Sequence[Case], before: Point, after: Point, density: float)
     with ThreadPoolExecutor(2) as pool:
         one, other = pool.map(adapted, (before, after))
     return other < one
-
-
-def _follows(case: Case, values: Mapping[str, float]) -> float:
-    """The share of a periodic disturbance's wave that position and direction of motion predict along a recording.
-
-    Where the motion itself is periodic, a disturbance with its period cannot be told from a torque that depends on
-    the state, and that is the likelier of the two.
-    """
-    if case.drive.speed:
-        return 0.0
-    time, y = case.drive.time, case.drive.measured
-    seen = np.isfinite(y)
-    time, y = time[seen], y[seen]
-    wave = np.sin(2.0 * math.pi * values["disturbance_frequency"] * time - values["disturbance_phase"])
-    place = np.searchsorted(np.unique(np.quantile(y, np.linspace(0.0, 1.0, 13)[1:-1])), y)
-    label = 2 * place + (np.gradient(y, time) > 0.0)
-    count = np.maximum(np.bincount(label), 1)
-    mean = np.bincount(label, wave) / count
-    spread = float(np.sum((wave - wave.mean()) ** 2))
-    return 1.0 - float(np.sum((wave - mean[label]) ** 2)) / max(spread, 1e-300)
 
 
 def _finish(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float], density: float) -> Hypothesis:

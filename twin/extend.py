@@ -19,6 +19,7 @@ from twin.explain import Hypothesis, Round
 from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
 from twin.likelihood import Case, Point
 from twin.model import Model
+from twin.plausibility import plausible
 from twin.recording import Recording, driven
 from twin.writers import latex
 
@@ -204,13 +205,13 @@ def _swapped(cases: Sequence[Case], last: Point, rounds: Sequence[Round], held: 
         contest = _contest(rounds, last.structure, effect)
         margin = max(UNSURE, NARROW * contest.gain)
         for h, behind in contest.rivals:
-            if behind < margin and explain.plausible(cases, h.point):
+            if behind < margin and plausible(cases, h.point):
                 rest = last.structure.without(effect, *_orphans(last.structure, effect))
                 own, other = h.point, rest.with_(*h.added)
                 starts = ({**own.values, **last.values}, {**last.values, **own.values})
                 tried = [explain.settle(cases, other, values, held, last.density) for values in starts]
                 point = explain.deepen(cases, min(tried, key=lambda p: p.deviance), held)
-                if explain.plausible(cases, point):
+                if plausible(cases, point):
                     out.append(Swap(effect, h.added[0], point))
     return out
 

@@ -1,0 +1,105 @@
+"""Whether a fitted effect still is what its name says, or a fit that bent it into something else."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin import likelihood
+from twin.likelihood import Case, Point
+
+Rule = Callable[[Sequence[Case], Mapping[str, float]], bool]
+
+#: What repeats has been seen so many times.
+REPEATS = 2.0
+#: Share of a disturbance's wave that follows the motion from which on it does not come from outside.
+OWN = 0.8
+#: Where a wave has no size nothing holds its phase, and a climb throws it further than this, rad.
+FLUNG = 100.0
+#: An encoder that errs by more over a turn is one that nobody would have built in, rad.
+OFF_CENTRE = 0.1
+
+
+def _places(cases: Sequence[Case]) -> NDArray[np.float64]:
+    return np.concatenate([c.recording.output[np.isfinite(c.recording.output)] for c in cases])
+
+
+def _ripple(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+    """It has repeated."""
+    return values["ripple_order"] * float(np.ptp(_places(cases))) >= REPEATS * 2.0 * math.pi
+
+
+def _disturbance(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+    """It has repeated, and comes from outside."""
+    cycles = values["disturbance_frequency"] * max(float(c.drive.time[-1]) for c in cases)
+    return cycles >= REPEATS and all(_follows(c, values) < OWN for c in cases)
+
+
+def _spring(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+    """It is more than a constant."""
+    places = _places(cases)
+    middle = 0.5 * float(places.max() + places.min())
+    return abs(values["spring_rest"] - middle) <= 2.0 * float(np.ptp(places))
+
+
+def _joint(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+    """There is a motor on its other side."""
+    least, _ = likelihood.bounds_of("motor_share")
+    return values["motor_share"] > 1.5 * least
+
+
+def _stribeck(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+    """Friction that falls with speed falls within some speed."""
+    least, _ = likelihood.bounds_of("stribeck_velocity")
+    return values["stribeck_velocity"] > 2.0 * least
+
+
+def _lag(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+    """It is not lost between two readings."""
+    return values["lag_time"] > 0.1 * max(likelihood.step_of(c) for c in cases)
+
+
+def _eccentricity(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+    """The encoder still shows about where the link is."""
+    return values["eccentricity"] < OFF_CENTRE
+
+
+RULES: Mapping[str, Rule] = {
+    "torque_ripple": _ripple,
+    "periodic_disturbance": _disturbance,
+    "spring": _spring,
+    "joint_elasticity": _joint,
+    "stribeck_friction": _stribeck,
+    "motor_lag": _lag,
+    "encoder_eccentricity": _eccentricity,
+}
+
+
+def plausible(cases: Sequence[Case], point: Point) -> bool:
+    """Whether every effect of the fit still is what its name says; of what has a phase also that it has a size."""
+    phases = [s.pair[0] for e in point.structure.effects if (s := e.screen) is not None and s.pair is not None]
+    held = all(abs(point.values[n]) < FLUNG for n in phases)
+    return held and all(rule(cases, point.values) for effect, rule in RULES.items() if effect in point.structure)
+
+
+def _follows(case: Case, values: Mapping[str, float]) -> float:
+    """The share of a periodic disturbance's wave that position and direction of motion predict along a recording.
+
+    Where the motion itself is periodic, a disturbance with its period cannot be told from a torque that depends on
+    the state, and that is the likelier of the two.
+    """
+    if case.drive.speed:
+        return 0.0
+    time, y = case.drive.time, case.drive.measured
+    seen = np.isfinite(y)
+    time, y = time[seen], y[seen]
+    wave = np.sin(2.0 * math.pi * values["disturbance_frequency"] * time - values["disturbance_phase"])
+    place = np.searchsorted(np.unique(np.quantile(y, np.linspace(0.0, 1.0, 13)[1:-1])), y)
+    label = 2 * place + (np.gradient(y, time) > 0.0)
+    count = np.maximum(np.bincount(label), 1)
+    mean = np.bincount(label, wave) / count
+    spread = float(np.sum((wave - wave.mean()) ** 2))
+    return 1.0 - float(np.sum((wave - mean[label]) ** 2)) / max(spread, 1e-300)
