@@ -123,7 +123,6 @@ def test_the_user_is_told_of_both():
         assert words in page
 
 
-
 def test_an_effect_that_came_along_with_another_stands_for_itself():
     """Of a winner that brought dry friction only that is left: what was better than dry friction alone is a rival."""
     tried = {"position_dependent_friction": 1000.0, "load_dependent_friction": 1020.0, "coulomb_friction": 1030.0}

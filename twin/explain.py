@@ -117,23 +117,30 @@ def rejudged(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> 
     return settle(cases, point.structure, point.values, held, density)
 
 
+def retoothed(
+    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float], density: float
+) -> Point:
+    """The maximum near these values with teeth that are looked for anew."""
+    structure = identify.with_teeth(structure)
+    mine = identify.with_steps(cases, structure)
+    begun = identify.likeliest_teeth(mine, structure, identify.completed(structure, values), density)
+    return settle(cases, structure, begun, held, density)
+
+
 def relocated(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
     """The point, or a better one where gap, shares and teeth are looked for anew.
 
     What was missing until now may have led them astray, and no slope leads back.
     """
+    if "backlash" not in point.structure or "joint_elasticity" in point.structure:
+        return point
     rigid = point.structure.without("tooth_compliance")
     loose = identify.with_steps(cases, rigid)
 
     def looked(memory: float) -> Point:
         rough = identify.coarse(loose, rigid, identify.completed(rigid, point.values), held, memory)
-        values = identify.completed(point.structure, {**point.values, **rough.values})
-        mine = identify.with_steps(cases, point.structure)
-        begun = identify.likeliest_teeth(mine, point.structure, values, point.density)
-        return settle(cases, point.structure, begun, held, point.density)
+        return retoothed(cases, point.structure, {**point.values, **rough.values}, held, point.density)
 
-    if "backlash" not in rigid or "joint_elasticity" in rigid:
-        return point
     with ThreadPoolExecutor(2) as pool:
         return min([point, *pool.map(looked, identify.MEMORIES)], key=lambda p: p.deviance)
 
@@ -212,10 +219,7 @@ def from_afar(
     """
 
     def fitted(h: Hypothesis) -> Hypothesis:
-        structure = identify.with_teeth(h.point.structure)
-        values = identify.completed(structure, h.point.values)
-        begun = identify.likeliest_teeth(identify.with_steps(cases, structure), structure, values, density)
-        return Hypothesis(h.added, settle(cases, structure, begun, held, density))
+        return Hypothesis(h.added, retoothed(cases, h.point.structure, h.point.values, held, density))
 
     with ThreadPoolExecutor(2) as pool:
         return list(pool.map(fitted, far[:FAR]))
@@ -300,8 +304,10 @@ def compete(
     for h in sound:
         before, stands = _tested(cases, before, h, held)
         if not stands and compare.earns(before, h.point):
-            h = Hypothesis(h.added, relocated(cases, h.point, held))
-            before, stands = _tested(cases, before, h, held)
+            moved = relocated(cases, h.point, held)
+            if moved is not h.point:
+                h = Hypothesis(h.added, moved)
+                before, stands = _tested(cases, before, h, held)
         if stands:
             winner = h
             break
