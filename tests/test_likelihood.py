@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from axis_runs import run, steps
 from scipy.optimize import lsq_linear
 
-from twin import kernel, likelihood
+from twin import identify, kernel, likelihood
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.likelihood import Case, Point
@@ -91,3 +92,31 @@ def test_a_model_that_no_command_moves_is_refused() -> None:
     wide = {**VALUES, "dead_band_forward": 90.0, "dead_band_reverse": 90.0}
     assert likelihood.evaluate([case], STRUCTURE, wide, 1.0).deviance == np.inf
     assert np.isfinite(likelihood.evaluate([case], STRUCTURE, {**wide, "dead_band_reverse": 50.0}, 1.0).deviance)
+
+
+SOUND = {
+    "input_gain": 0.3, "viscous_friction": 3.0, "dead_band_forward": 5.0, "dead_band_reverse": 6.0,
+    "backlash_gap": 0.03, "motor_share": 0.3, "friction_share": 0.6, "tooth_frequency": 90.0, "tooth_damping": 0.4,
+}  # fmt: skip
+LOOSE = {
+    "viscous_friction": 0.6, "backlash_gap": 0.06, "motor_share": 0.12, "friction_share": 0.4,
+    "tooth_frequency": 150.0, "tooth_damping": 0.08,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("values", "hold", "rough"), [(SOUND, 250, False), (SOUND | LOOSE, 50, True)])
+def test_a_motor_that_rattles_makes_the_likelihood_rough_and_the_errors_wide(
+    values: dict[str, float], hold: int, rough: bool
+) -> None:
+    structure, count = identify.base_structure(), 6e-4
+    time, duty = 0.002 * np.arange(6000), steps(np.random.default_rng(1), 6000, hold, 40.0)
+    read = count * np.round(run(structure, values, time, duty)[0] / count)
+    recording = Recording("made", time, duty, read, "%", "rad", count)
+    cases = [likelihood.prepare(recording, structure)]
+    density = likelihood.density_of(cases[0], 0.1)
+    point = likelihood.climb(cases, structure, values, density, identify.free_parameters(structure))
+    found = identify.roughness(cases, point)
+    assert found > 100.0 if rough else found < 1.0
+    least = likelihood.robust_covariance(cases, point)
+    wider = np.sqrt(np.diag(identify.to_model(cases, point, [recording], {}).covariance) / np.diag(least))
+    assert np.all(wider > 3.0) if rough else np.all(wider < 1.2)

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 from example_diagnosis import RIG, example
 from mujoco_rig import TURN, Concealed, draw_rig, simulate
 
-from twin import compare, explain, extend, finding, phrases, report
+from twin import compare, extend, finding, identify, phrases, report
 from twin.axis import BASE, Structure
 from twin.explain import Hypothesis, Round
 from twin.extend import UNSURE, Search, Swap
@@ -136,6 +136,6 @@ def test_an_effect_that_came_along_with_another_stands_for_itself():
 def test_a_rattling_rig_is_said_to_hide_effects(monkeypatch):
     fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(0.2, 2.0, math.nan)}}
     for rough, rattles in ((0.5 * compare.LEAST, False), (2.0 * compare.LEAST, True)):
-        monkeypatch.setattr(explain, "roughness", lambda cases, point, rough=rough: rough)
+        monkeypatch.setattr(identify, "roughness", lambda cases, point, rough=rough: rough)
         said = extend._remarks(search(500.0), fit, [])
         assert [s.startswith("The motor rattles in its gap") for s in said] == ([True] if rattles else [])

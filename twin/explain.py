@@ -42,8 +42,6 @@ AGAIN = 3
 LONG, SHORT = 0.1, 0.05
 #: Noise densities within this factor judge alike.
 ALIKE = 1.5
-#: Changes of teeth and gap that matter to nothing but the order of bounces, as shares of their values.
-TREMBLE = {"tooth_frequency": 0.01, "tooth_damping": 0.01, "backlash_gap": 0.001}
 #: What is there shows to filters that forget so many times as fast, too, down to this memory, s.
 FASTER, BRIEFEST = (2.0, 4.0), 0.02
 
@@ -163,23 +161,6 @@ def sharpened(cases: Sequence[Case], point: Point) -> Point:
     return found if found.density < point.density else point
 
 
-def roughness(cases: Sequence[Case], point: Point) -> float:
-    """How much the deviance changes, in the median, where teeth and gap change by next to nothing.
-
-    Where a motor rattles on and on, every bounce depends on all those before: each value has a likelihood of its own,
-    and what is gained by another may be luck.
-    """
-    mine = identify.with_steps(cases, point.structure)
-    trembled = [
-        {**point.values, n: (1.0 + sign * share) * point.values[n]}
-        for n, share in TREMBLE.items()
-        for sign in (-1.0, 1.0)
-        if n in point.values
-    ]
-    found = likelihood.deviances(mine, point.structure, trembled, point.density)
-    return float(np.median(np.abs(np.array(found) - point.deviance))) if found else 0.0
-
-
 def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
     """Whether the gain rises above the roughness of the likelihood, and filters that forget faster prefer the larger
     model, too, both adapted to them.
@@ -188,7 +169,7 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
     a bounce rewards whatever moves the bounces to where they happened to be. A shorter memory asks for the same
     physics and is not led astray so far.
     """
-    if not compare.earns(before, after, max(roughness(cases, before), roughness(cases, after))):
+    if not compare.earns(before, after, max(identify.roughness(cases, before), identify.roughness(cases, after))):
         return False
     memory = likelihood.memory_of(cases[0], before.density)
     shorter = [memory / times for times in FASTER if memory / times >= BRIEFEST]

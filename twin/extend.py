@@ -500,7 +500,7 @@ def _remarks(found: Search, fit: Mapping[str, Mapping[str, Fitness]], findings: 
             f"({held_out['after'].nrmse_percent:.2f} % against {held_out['before'].nrmse_percent:.2f} %): "
             "treat the finding with care."
         )
-    if explain.roughness(found.cases, found.last) > compare.LEAST * compare.worth([found.last]):
+    if identify.roughness(found.cases, found.last) > compare.LEAST * compare.worth([found.last]):
         said.append(
             "The motor rattles in its gap so much that next to nothing, 1 % of the teeth's frequency, changes the "
             "likelihood by more than an effect must earn, and effects may be hidden by that: record with fewer "
