@@ -193,16 +193,19 @@ def piece(x, p, k, command, h):
     # Compliant teeth and an elastic joint are the same spring beyond the gap: the softer one is what is seen.
     elastic = 0
     rate = 0.0
+    decline = 0.0
     stiffness = 0.0
     damping = 0.0
     if has.tooth_compliance:
         elastic = 1
         rate = 6.283185307179586 * p.tooth_frequency
+        decline = 2.0 * p.tooth_damping * rate
         stiffness = rate * rate * mass_m * (1.0 - mass_m)
         damping = 2.0 * p.tooth_damping * rate * mass_m * (1.0 - mass_m)
     if has.joint_elasticity:
         elastic = 1
         rate = 6.283185307179586 * p.joint_frequency
+        decline = 2.0 * p.joint_damping * rate
         stiffness = rate * rate * mass_m * (1.0 - mass_m)
         damping = 2.0 * p.joint_damping * rate * mass_m * (1.0 - mass_m)
     added = 0.0
@@ -239,8 +242,11 @@ def piece(x, p, k, command, h):
     if side == 0 and h > 0.00025:
         h = 0.00025
     if elastic == 1 and side != 0 and rate * h > 0.08:
-        if closing > 0.002 or closing < -0.002:
+        if closing > 0.0002 or closing < -0.0002:
             h = 0.08 / rate
+    # What is damped so hard that a step would overshoot its rest would chatter, and its slopes grow without bounds.
+    if elastic == 1 and side != 0 and decline * h > 1.0:
+        h = 1.0 / decline
     middle = 0.5 * h
 
     # Whether the drive gives more or less on the way.
