@@ -217,7 +217,7 @@ def predict(drive: Drive, p: FloatArray, x: FloatArray, noise: Noise = FREE, kee
 
 
 def _aligned(*shape: int) -> FloatArray:
-    """Room for numbers whose rows of eight begin where the processor likes vectors to begin."""
+    """Room for numbers whose rows of `WIDTH` begin where the processor likes vectors to begin."""
     count = int(np.prod(shape))
     room = np.empty(count + WIDTH)
     first = -(room.ctypes.data // room.itemsize) % WIDTH

@@ -1,6 +1,6 @@
-"""Eight numbers that the processor handles at once: the type in which compiled derivatives are carried.
+"""Sixteen numbers that the processor handles side by side: the type in which compiled derivatives are carried.
 
-A `Lanes` value is one derivative with respect to up to eight parameters. numba keeps it in registers as an LLVM
+A `Lanes` value is one derivative with respect to up to sixteen parameters. numba keeps it in registers as an LLVM
 vector, so that the text of a derivative reads like the text it was derived from, one line per line and without
 loops. Products with zero are taken to be zero, and multiplications and additions may be fused.
 """
@@ -16,7 +16,8 @@ from numba.core import types
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-WIDTH = 8
+#: As many as the first model and three more effects have parameters: each further block runs the model once more.
+WIDTH = 16
 _VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
 _FLAGS = ("nnan", "ninf", "nsz", "contract", "reassoc")
 
@@ -92,12 +93,12 @@ def numbers(typingctx, array):
 
 @intrinsic
 def zero(typingctx):
-    """Eight zeros."""
+    """`WIDTH` zeros."""
     return LANES(), lambda context, builder, sig, args: ir.Constant(_VECTOR, [0.0] * WIDTH)
 
 
 def _place(context, builder, kind, array, row):
-    """Pointer to eight numbers at `row` of a contiguous (…, 8) array, or of what `numbers` gave."""
+    """Pointer to the numbers at `row` of a contiguous (…, WIDTH) array, or of what `numbers` gave."""
     data = array
     if isinstance(kind, types.Array):
         data = context.make_array(kind)(context, builder, array).data
@@ -107,7 +108,7 @@ def _place(context, builder, kind, array, row):
 
 @intrinsic
 def row(typingctx, array, index):
-    """Row of a contiguous (…, 8) array."""
+    """Row of a contiguous (…, WIDTH) array."""
 
     def lower(context, builder, sig, args):
         at = context.cast(builder, args[1], sig.args[1], types.intp)
@@ -118,7 +119,7 @@ def row(typingctx, array, index):
 
 @intrinsic
 def put(typingctx, array, index, value):
-    """Write a row of a contiguous (…, 8) array."""
+    """Write a row of a contiguous (…, WIDTH) array."""
 
     def lower(context, builder, sig, args):
         at = context.cast(builder, args[1], sig.args[1], types.intp)

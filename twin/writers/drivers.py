@@ -178,8 +178,8 @@ def predict_t(
     """As `predict` from stamp `begin` on for as many as `predicted` has room, with the derivative of what the sensor
     should read in row `i * stride + first` of `slopes`. `x`, `xd` and `c` are left as they are for the next stamp.
 
-    `slopes` is (room, stride, 8), `commands` (N or 1, 8) holds the derivative of the loop's own command. Gains are
-    followed as they are: that they themselves depend on the parameters is left out.
+    `slopes` is (room, stride, WIDTH), `commands` (N or 1, WIDTH) holds the derivative of the loop's own command.
+    Gains are followed as they are: that they themselves depend on the parameters is left out.
     """
     count = len(time)
     x = numbers(x)

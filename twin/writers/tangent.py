@@ -1,6 +1,6 @@
 """The exact derivative of the axis, written from its own text (forward mode, source to source).
 
-Beside every scalar `a` stands `d_a`, its derivatives with respect to up to eight parameters at once
+Beside every scalar `a` stands `d_a`, its derivatives with respect to up to sixteen parameters at once
 (`twin.lanes`); `xd` holds those of the states, `pd` those of the parameters: a one where the parameter is the
 column, zero elsewhere. Laws and assignments are differentiated by SymPy; branches and event times are followed as
 computed, so the derivative is that of the computed trajectory, not of an approximation.
