@@ -331,14 +331,14 @@ def evaluate(
         ids, pulls = [], []
         for block, r in _in_stretches(cases, structure, values, density, free, None if long else results, stretch):
             ok = np.isfinite(r.error)
-            _, weight = _loss(r.error[ok] ** 2 / (r.variance[ok] * scale))
-            weight = weight / (scale * r.variance[ok])
-            slopes = r.slopes[ok]
-            weighted = slopes * weight[:, None]
-            normal += weighted.T @ slopes
-            starts = np.flatnonzero(np.diff(block[ok], prepend=-1))
-            ids.append(block[ok][starts])
-            pulls.append(np.add.reduceat(weighted * r.error[ok][:, None], starts, axis=0))
+            error = np.where(ok, r.error, 0.0)
+            _, weight = _loss(error**2 / (r.variance * scale))
+            weighted = r.slopes * (ok * weight / (scale * r.variance))[:, None]
+            normal += weighted.T @ r.slopes
+            starts = np.flatnonzero(np.diff(block, prepend=-1))
+            read = np.logical_or.reduceat(ok, starts)
+            ids.append(block[starts][read])
+            pulls.append(np.add.reduceat(weighted * error[:, None], starts, axis=0)[read])
         # A stretch may have been cut in two.
         joined_ids, joined_pulls = np.concatenate(ids), np.concatenate(pulls)
         each = np.add.reduceat(joined_pulls, np.flatnonzero(np.diff(joined_ids, prepend=-1)), axis=0)
