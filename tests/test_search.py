@@ -69,7 +69,7 @@ def test_what_a_rough_likelihood_gives_anywhere_is_no_gain(monkeypatch) -> None:
     case = likelihood.prepare(blank, structure)
     density = likelihood.density_of(case, explain.BRIEFEST)
     before = likelihood.Point(
-        structure, {"backlash_gap": 0.02}, density, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0)
+        structure, {"backlash_gap": 0.02}, density, ("backlash_gap",), 0.0, 1.0, np.eye(1), np.zeros(1), np.eye(1)
     )
     after = replace(before, values={"backlash_gap": 0.03}, deviance=-3.0 * compare.LEAST)
     for jump, shown in ((0.0, True), (1.0, True), (4.0, False)):

@@ -34,8 +34,8 @@ FloatArray = NDArray[np.float64]
 #: Candidates per round that climb a little, and how many of them go on to the end from near and from far.
 SURVIVORS = 8
 NEAR, FAR = 4, 2
-#: Share of the best one's gain from which on others are looked at more deeply.
-CLOSE = 0.4
+#: Share of the best one's gain, and of what an effect must earn, from which on others are looked at more deeply.
+CLOSE, HOPE = 0.4, 0.25
 #: So often at most does a round begin again from a smaller model that its rivals have shown a better place.
 AGAIN = 3
 #: Memory of the filter that judges the first round, and the least of those that judge later ones, s.
@@ -177,14 +177,21 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
 
 
 def _prefers(cases: Sequence[Case], before: Point, after: Point, density: float) -> bool:
-    def adapted(point: Point) -> float:
+    """Whether at this noise density the larger model is worth its parameters, each from its own place and the other's:
+    valleys are others there, and the one that the larger model happens to be in says nothing about its effect.
+    """
+
+    def adapted(point: Point, values: Mapping[str, float]) -> Point:
         mine = identify.with_steps(cases, point.structure)
-        found = likelihood.climb(mine, point.structure, point.values, density, point.free, rounds=4, tolerance=1.0)
-        return found.deviance
+        begun = {n: values.get(n, v) for n, v in point.values.items()}
+        return likelihood.climb(mine, point.structure, begun, density, point.free, rounds=4, tolerance=1.0)
 
     with ThreadPoolExecutor(2) as pool:
-        one, other = pool.map(adapted, (before, after))
-    return other < one
+        one, other = pool.map(lambda p: adapted(p, p.values), (before, after))
+        learned = list(pool.map(adapted, (before, after), (other.values, one.values)))
+    smaller, larger = (min(pair, key=lambda p: p.deviance) for pair in zip((one, other), learned, strict=True))
+    unit = compare.worth([smaller, larger])
+    return compare.criterion(larger, unit) < compare.criterion(smaller, unit)
 
 
 def _finish(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float], density: float) -> Hypothesis:
@@ -196,11 +203,12 @@ def from_afar(
 ) -> list[Hypothesis]:
     """The most promising of what was seen from a coarse model, fitted in full.
 
-    Teeth are looked for anew: what the smaller model took for teeth may be the effect.
+    Gap, shares and teeth are looked for anew: what the smaller model took for them may be the effect.
     """
 
     def fitted(h: Hypothesis) -> Hypothesis:
-        return Hypothesis(h.added, retoothed(cases, h.point.structure, h.point.values, held, density))
+        begun = retoothed(cases, h.point.structure, h.point.values, held, density)
+        return Hypothesis(h.added, relocated(cases, begun, held))
 
     with ThreadPoolExecutor(2) as pool:
         return list(pool.map(fitted, far[:FAR]))
@@ -249,7 +257,7 @@ def compete(
 
     `known` are rivals that have been fitted already.
     """
-    density, structure = before.density, before.structure
+    density, structure, promising = before.density, before.structure, candidates
     best: dict[tuple[str, ...], Hypothesis] = {}
 
     def keep(found: Sequence[Hypothesis]) -> None:
@@ -259,23 +267,27 @@ def compete(
     with ThreadPoolExecutor(2) as pool:
         keep(list(pool.map(lambda h: _finish(cases, h, held, density), known)))
         for _ in range(AGAIN):
-            near = contest(cases, before, candidates)[:NEAR]
-            keep(list(pool.map(lambda h: _finish(cases, h, held, density), near)))
+            near = contest(cases, before, promising)
+            keep(list(pool.map(lambda h: _finish(cases, h, held, density), near[:NEAR])))
             leaders = sorted(best.values(), key=lambda h: h.deviance)[:2]
             smaller = min(
                 pool.map(lambda h: settle(cases, structure, h.point.values, held, density), leaders),
                 key=lambda p: p.deviance,
             )
             unit = compare.worth([before, leaders[0].point])
-            if smaller.deviance > before.deviance - compare.PRICE * unit:
+            learned = (before.deviance - smaller.deviance) / unit
+            if learned < compare.PRICE:
                 break
+            if learned < compare.LEAST:
+                promising = [h.added[0] for h in near]
             before = smaller
         # What is easily mistaken for the best is tried in its place: the model without either may have gone astray.
         masks = [e for e in candidates if (e,) not in best and _alike(e, leaders[0])]
         keep(list(pool.map(lambda e: _instead(cases, leaders[0], structure, e, held), masks)))
         leaders = sorted(best.values(), key=lambda h: h.deviance)[:2]
         # Those that are not far behind the best may only have ended in a lesser valley.
-        bar = before.deviance - CLOSE * (before.deviance - leaders[0].deviance)
+        hoped = max(CLOSE * (before.deviance - leaders[0].deviance), HOPE * compare.LEAST * unit)
+        bar = before.deviance - hoped
         close = [h for h in sorted(best.values(), key=lambda h: h.deviance)[:NEAR] if h.deviance < bar]
         keep(list(pool.map(lambda h: Hypothesis(h.added, deepen(cases, h.point, held)), close)))
     ranked = sorted(best.values(), key=lambda h: compare.criterion(h.point, unit))
