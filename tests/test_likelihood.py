@@ -102,9 +102,13 @@ LOOSE = {
     "viscous_friction": 0.6, "backlash_gap": 0.06, "motor_share": 0.12, "friction_share": 0.4,
     "tooth_frequency": 150.0, "tooth_damping": 0.08,
 }  # fmt: skip
+#: Teeth at the bounds: damped so hard that a step of the usual length would overshoot.
+HARD = {"tooth_frequency": 300.0, "tooth_damping": 2.0, "motor_share": 0.05}
 
 
-@pytest.mark.parametrize(("values", "hold", "rough"), [(SOUND, 250, False), (SOUND | LOOSE, 50, True)])
+@pytest.mark.parametrize(
+    ("values", "hold", "rough"), [(SOUND, 250, False), (SOUND | HARD, 250, False), (SOUND | LOOSE, 50, True)]
+)
 def test_a_motor_that_rattles_makes_the_likelihood_rough_and_the_errors_wide(
     values: dict[str, float], hold: int, rough: bool
 ) -> None:
