@@ -238,7 +238,8 @@ def piece(x, p, k, command, h):
         else:
             x.gap = -half
 
-    # Fine pieces while the light motor is alone in the gap, and while it rings against the link.
+    # Fine pieces while the light motor is alone in the gap, and while it rings against the link; a ringing that is left
+    # to coarse ones before it has died down ends elsewhere for every next to nothing that the model changes.
     if side == 0 and h > 0.00025:
         h = 0.00025
     if elastic == 1 and side != 0 and rate * h > 0.08:
