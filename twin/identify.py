@@ -331,7 +331,8 @@ def to_model(cases: Sequence[Case], point: Point, recordings: Sequence[Recording
     """The point as a model, with standard errors and where it comes from."""
     covariance = likelihood.robust_covariance(with_steps(cases, point.structure), point)
     # Where the likelihood is rough the highest of its peaks lies anywhere within so much of the parabola's top.
-    covariance = covariance + roughness(cases, point) / 3.0 * point.covariance
+    seen = np.isfinite(covariance)
+    covariance[seen] += roughness(cases, point) / 3.0 * point.covariance[seen]
     first = recordings[0]
     variance = cases[0].reading_variance * point.scale
     known = {k: v for k, v in known_quantities(first).items() if v}
