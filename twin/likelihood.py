@@ -485,6 +485,9 @@ def _climb_on(cases: Sequence[Case], best: Point, rounds: int, tolerance: float)
 
 #: Deviance at the ends of a 95 % interval of one parameter.
 _CHI2_95 = 3.841
+#: So often at most an end of such an interval is moved, and steps in which all other parameters follow it there: where
+#: gap and motor's share make up for each other, fewer end on the ridge's flank, and the interval too soon.
+PASSES, REFITS = 4, 8
 
 
 def profile_interval(cases: Sequence[Case], point: Point, name: str, std: float) -> tuple[float, float]:
@@ -504,13 +507,13 @@ def profile_interval(cases: Sequence[Case], point: Point, name: str, std: float)
     ends = []
     for bound, sign in ((low, -1.0), (high, 1.0)):
         reach = min(1.96 * std, sign * (bound - point.values[name]))
-        for _ in range(2 if point.unit < ERRS else 0):
+        for _ in range(PASSES if point.unit < ERRS else 0):
             if reach <= 0.0:
                 break
             moved = {n: point.values[n] + sign * reach * f for n, f in zip(others, follow.tolist(), strict=True)}
             moved = {n: min(max(v, _BOUNDS[n][0]), _BOUNDS[n][1]) for n, v in moved.items()}
             value = point.values[name] + sign * reach
-            trial = climb(cases, point.structure, {**point.values, **moved, name: value}, point.density, others, 2)
+            trial = climb(cases, point.structure, {**point.values, **moved, name: value}, point.density, others, REFITS)
             rise = trial.deviance - point.deviance
             factor = math.sqrt(wanted / rise) if rise > 0.0 else 2.0
             reach = min(reach * min(max(factor, 0.4), 2.0), sign * (bound - point.values[name]))
