@@ -248,6 +248,25 @@ def piece(x, p, k, command, h):
     # What is damped so hard that a step would overshoot its rest would chatter, and its slopes grow without bounds.
     if elastic == 1 and side != 0 and decline * h > 1.0:
         h = 1.0 / decline
+    # Likewise in a stop, also where the link turns around in it; what is on its way to a stop does not feel it yet.
+    if has.end_stop:
+        depth = x.position - p.stop_upper
+        ahead = -depth
+        if x.position <= p.stop_lower:
+            depth = p.stop_lower - x.position
+        if x.velocity < 0.0:
+            ahead = p.stop_lower - x.position
+        if depth >= 0.0:
+            hard = sqrt(p.stop_stiffness)
+            if hard * h > 0.02:
+                h = 0.02 / hard
+            loss = p.stop_damping + p.stop_stiffness * p.stop_hysteresis * depth
+            if loss * h > 1.0:
+                h = 1.0 / loss
+        elif x.velocity * ahead > 0.0:
+            until = ahead / x.velocity
+            if until > 1e-9 and until < h:
+                h = until
     middle = 0.5 * h
 
     # Whether the drive gives more or less on the way.
@@ -407,7 +426,7 @@ def step(x, p, k, command, h):
     """
     span = piece(x, p, k, command, h)
     remaining = h - span
-    for _ in range(64):
+    for _ in range(128):
         if remaining <= 0.0:
             break
         span = piece(x, p, k, command, remaining)

@@ -44,6 +44,8 @@ AT_ONCE = 100_000
 ERRS = 5.0
 #: A gradient that scatters by less than this share of what the information says is one of slopes that have run away.
 CHAOS = 0.3
+#: Deviance from which on a change is one that is seen: what is not seen has no slope but the rounding's.
+TRACE = 1e-6
 #: Stretches beyond one for each parameter from which on their scatter is looked at.
 LEFT = 4
 #: Far from the maximum that worth says nothing: a climb ends at so many times its tolerance at most.
@@ -155,6 +157,12 @@ class Point:
         """Variances (n,) that the scatter of the slopes bears out, over those that the information promises."""
         plain = self.covariance
         return np.asarray(np.diag(plain @ self.scatter @ plain) / np.maximum(np.diag(plain), 1e-300))
+
+    @cached_property
+    def traced(self) -> NDArray[np.bool_]:
+        """Which free parameters (n,) leave a trace: to move one by its own size, or by one, would not go unseen."""
+        sizes = np.array([max(abs(self.values.get(n, 0.0)), 1.0) for n in self.free])
+        return np.asarray(np.diag(self.normal) * sizes**2 > TRACE)
 
     @property
     @_unheeded()
@@ -425,11 +433,11 @@ def _moved(point: Point, damping: float) -> dict[str, float]:
     size = np.sqrt(np.maximum(np.diag(point.normal), 1e-300))
     scaled = point.normal / np.outer(size, size)
     scaled[np.diag_indices_from(scaled)] += damping + 1e-12
-    step, inside = np.zeros(len(here)), np.ones(len(here), dtype=bool)
+    step, inside = np.zeros(len(here)), point.traced.copy()
     while inside.any():
         pull = point.gradient / size - scaled @ np.where(inside, 0.0, step * size)
         step[inside] = solved(scaled[np.ix_(inside, inside)], pull[inside]) / size[inside]
-        beyond = np.maximum(least - step, step - most) * size * inside
+        beyond = np.where(inside, np.maximum(least - step, step - most) * size, 0.0)
         worst = int(np.argmax(beyond))
         if beyond[worst] <= 0.0:
             break

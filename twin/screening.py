@@ -7,6 +7,7 @@ Parameters that do nothing there themselves (a rate, a moment, a place) are trie
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -93,14 +94,15 @@ def grids(
     out["input_delay"] = [{"delay": t} for t in (0.002, 0.006, 0.015)]
     stops = []
     for high, low in ((1, 0), (0, 1), (1, 1)):
-        # A stop gives by what the link runs in a few milliseconds, so it sits that much inside the furthest reading.
-        for depth in (0.002 * fast, 0.012 * fast):
+        for hardness, share in itertools.product((8e3, 6e4), (0.15, 0.8)):
+            # The link runs on until the stop has turned it around, so that this lies inside the furthest reading.
+            depth = share * fast / math.sqrt(hardness)
             stops.append(
                 {
                     "stop_upper": float(places.max()) - depth if high else float(places.max()) + travel,
                     "stop_lower": float(places.min()) + depth if low else float(places.min()) - travel,
-                    "stop_stiffness": 2e4,
-                    "stop_damping": 0.3,
+                    "stop_stiffness": hardness,
+                    "stop_damping": 0.4 * math.sqrt(hardness),
                 }
             )
     out["end_stop"] = stops
@@ -184,18 +186,17 @@ def neutral(effect: str) -> dict[str, float]:
 
 def _score(base: Point, point: Point, news: Sequence[str]) -> tuple[FloatArray, float]:
     """One Newton step over the base's parameters and new ones, and the deviance that the new ones promise."""
-    old = [point.free.index(n) for n in base.free]
-    new = [point.free.index(n) for n in news]
-    a = point.normal
-    size = np.sqrt(np.maximum(np.diag(a), 1e-300))
-    a = a / np.outer(size, size)
-    g = point.gradient / size
-    index = [*old, *new]
-    block = a[np.ix_(index, index)] + 1e-9 * np.eye(len(index))
-    step = likelihood.solved(block, g[index])
-    without = likelihood.solved(block[: len(old), : len(old)], g[old])
-    promise = float(g[index] @ step - g[old] @ without)
-    return step / size[index], max(promise, 0.0)
+    index = np.array([point.free.index(n) for n in (*base.free, *news)])
+    moves = point.traced[index] | (np.arange(len(index)) >= len(base.free))
+    index, old = index[moves], int(moves.sum()) - len(news)
+    size = np.sqrt(np.maximum(np.diag(point.normal), 1e-300))[index]
+    g = point.gradient[index] / size
+    block = point.normal[np.ix_(index, index)] / np.outer(size, size) + 1e-9 * np.eye(len(index))
+    ahead = likelihood.solved(block, g)
+    without = likelihood.solved(block[:old, :old], g[:old])
+    step = np.zeros(len(moves))
+    step[moves] = ahead / size
+    return step, max(float(g @ ahead - g[:old] @ without), 0.0)
 
 
 def _nested_starts(

@@ -6,14 +6,15 @@ from typing import Any
 
 from twin.effects.effect import Effect, Screen
 from twin.quantities import Parameter
-from twin.words import maximum
+from twin.words import maximum, where
 
 
 def law(q: Any, p: Any) -> Any:
-    # The damping grows with the depth, so that the torque sets in smoothly; a stop pushes, never pulls.
-    below = maximum(p.stop_lower - q.position, 0.0) * maximum(1.0 - p.stop_damping * q.velocity, 0.0)
-    above = maximum(q.position - p.stop_upper, 0.0) * maximum(1.0 + p.stop_damping * q.velocity, 0.0)
-    return p.stop_stiffness * (below - above)
+    # A bumper damps from the first touch, a hard body the more the deeper it is pressed; a stop pushes, never pulls.
+    below, above = p.stop_lower - q.position, q.position - p.stop_upper
+    up = p.stop_stiffness * below * (1.0 - p.stop_hysteresis * q.velocity) - p.stop_damping * q.velocity
+    down = p.stop_stiffness * above * (1.0 + p.stop_hysteresis * q.velocity) + p.stop_damping * q.velocity
+    return where(below > 0.0, maximum(up, 0.0), where(above > 0.0, -maximum(down, 0.0), 0.0))
 
 
 EFFECT = Effect(
@@ -22,8 +23,9 @@ EFFECT = Effect(
     station="load",
     slot="load",
     parameters=(
-        Parameter("stop_stiffness", "1/s^2", "contact stiffness over inertia", 0.0, 0.0, 1e5, 5e3),
-        Parameter("stop_damping", "s/{x}", "growth of the stiffness with approach speed", None, 0.0, 20.0, 0.5),
+        Parameter("stop_stiffness", "1/s^2", "contact stiffness over inertia", 0.0, 0.0, 2e5, 5e3),
+        Parameter("stop_damping", "1/s", "contact damping over inertia", 0.0, 0.0, 5e3, 50.0),
+        Parameter("stop_hysteresis", "s/{x}", "growth of the stiffness with approach speed", 0.0, 0.0, 20.0, 0.0),
         Parameter("stop_upper", "{x}", "position of the upper stop", None, start=1e3),
         Parameter("stop_lower", "{x}", "position of the lower stop", None, start=-1e3),
     ),
@@ -35,5 +37,4 @@ EFFECT = Effect(
     "Appl. Mech. 42, 1975",
     confused_with={"spring": "rest in mid-travel: a stop acts only beyond its angle"},
     screen=Screen("stop_stiffness"),
-    substeps=8,
 )

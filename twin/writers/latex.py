@@ -51,6 +51,7 @@ SYMBOLS: dict[str, str] = {
     "ripple_phase": r"\varphi_{r}",
     "stop_stiffness": "k_{e}",
     "stop_damping": "d_{e}",
+    "stop_hysteresis": "h_{e}",
     "stop_upper": "@_{+}",
     "stop_lower": "@_{-}",
     "lag_time": "T_{e}",
