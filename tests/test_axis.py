@@ -10,6 +10,7 @@ from axis_runs import run, sane, steps
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from twin import kernel
 from twin.axis import STATES, Structure
@@ -60,6 +61,38 @@ def test_coast_down_stops_when_the_closed_form_says(friction, b, speed):
     way = speed / b - friction / b**2 * math.log(1.0 + b * speed / friction)
     assert position[-1] == pytest.approx(way, abs=COUNT / 10)
     assert np.all(states[~moving, 1] == 0.0)
+
+
+def rebound_of_a_bumper(speed: float, stiffness: float, damping: float) -> float:
+    """Speed at which a damped spring that never pulls lets go of a mass."""
+    rate = math.sqrt(stiffness)
+    ratio = damping / (2.0 * rate)
+    damped = math.sqrt(1.0 - ratio**2)
+    return speed * math.exp(-ratio / damped * (math.pi - math.atan2(2.0 * ratio * damped, 1.0 - 2.0 * ratio**2)))
+
+
+def rebound_of_a_hard_body(speed: float, hysteresis: float) -> float:
+    """The same where damping grows with depth: the way out begins at the depth at which the way in ended."""
+    depth = speed - math.log1p(hysteresis * speed) / hysteresis
+    most = 1.0 / hysteresis
+    return brentq(lambda out: -out - math.log1p(-hysteresis * out) / hysteresis - depth, 0.0, most * (1.0 - 1e-9))
+
+
+@pytest.mark.parametrize("damping, hysteresis", [(0.0, 0.0), (20.0, 0.0), (150.0, 0.0), (0.0, 0.3), (0.0, 2.0)])
+@pytest.mark.parametrize("speed, stiffness", [(0.4, 1e4), (3.0, 1e4), (3.0, 1e5)])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_stop_throws_back_what_its_losses_leave(side, speed, stiffness, damping, hysteresis):
+    structure = Structure.of(("inertia", "viscous_friction", "end_stop"))
+    values = {"input_gain": 0.3, "viscous_friction": 0.0, "stop_upper": 0.1, "stop_lower": -0.1}
+    values |= {"stop_stiffness": stiffness, "stop_damping": damping, "stop_hysteresis": hysteresis}
+    time = clock(0.15 / speed + 0.05)
+    _, states = run(structure, values, time, np.zeros(len(time)), kernel.start_state(0.0, side * speed, 0.0))
+    expected = speed
+    if damping:
+        expected = rebound_of_a_bumper(speed, stiffness, damping)
+    elif hysteresis:
+        expected = rebound_of_a_hard_body(speed, hysteresis)
+    assert -side * states[-1, 1] == pytest.approx(expected, rel=2e-3)
 
 
 @pytest.mark.parametrize("duty", [15.0, 30.0, 60.0])

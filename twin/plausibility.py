@@ -21,6 +21,8 @@ OWN = 0.8
 FLUNG = 100.0
 #: An encoder that errs by more over a turn is one that nobody would have built in, rad.
 OFF_CENTRE = 0.1
+#: A stop gives way by no larger share of the travel.
+GIVES = 0.2
 
 
 def _places(cases: Sequence[Case]) -> NDArray[np.float64]:
@@ -67,6 +69,13 @@ def _eccentricity(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     return values["eccentricity"] < OFF_CENTRE
 
 
+def _stop(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+    """It stops the link: what gives way further is a spring that grows."""
+    places = _places(cases)
+    deepest = max(float(places.max()) - values["stop_upper"], values["stop_lower"] - float(places.min()))
+    return deepest <= GIVES * float(np.ptp(places))
+
+
 RULES: Mapping[str, Rule] = {
     "torque_ripple": _ripple,
     "periodic_disturbance": _disturbance,
@@ -75,6 +84,7 @@ RULES: Mapping[str, Rule] = {
     "stribeck_friction": _stribeck,
     "motor_lag": _lag,
     "encoder_eccentricity": _eccentricity,
+    "end_stop": _stop,
 }
 
 
