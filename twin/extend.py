@@ -261,10 +261,10 @@ def _seen(ran: package.Replay, recording: Recording) -> np.ndarray:
 
 
 def traces(
-    before: Model, after: Model, recordings: Sequence[tuple[Recording, float]], role: str, closed: bool = False
+    before: Model, after: Model, recordings: Sequence[tuple[str, Recording, float]], closed: bool = False
 ) -> list[Trace]:
-    """Both models beside each recording, free-running through their FMUs, from the recorded input or, `closed`, under
-    the rig's own loop.
+    """Both models beside each recording (its role, and from which moment on it is judged), free-running through their
+    FMUs, from the recorded input or, `closed`, under the rig's own loop.
     """
     timed = any(e in m.structure for m in (before, after) for e in _TIMED)
     # Physics that depends on the time since the start must run from the start.
@@ -272,7 +272,7 @@ def traces(
     out = []
     with tempfile.TemporaryDirectory() as folder:
         fmus = [package.export(m, Path(folder) / f"{i}.fmu") for i, m in enumerate((before, after))]
-        for recording, since in recordings:
+        for role, recording, since in recordings:
             runs = [_free_run(fmu, driven(recording), since, lead, closed) for fmu in fmus]
             keep = recording.time >= since
             out.append(Trace(recording.name, role, recording.time[keep], recording.output[keep], runs[0], runs[1]))
@@ -449,8 +449,8 @@ def diagnose(
     shapes = [tuple(locate.shapes(m)) for m in missing]
     lap("locate")
     tell("checking on held-out data through the FMU", 0.9)
-    whole = [(r, 0.0) for r in train]
-    shown = [*traces(before, after, whole, "train", closed), *traces(before, after, held_out, "holdout", closed)]
+    judged = [*(("train", r, 0.0) for r in train), *(("holdout", r, since) for r, since in held_out)]
+    shown = traces(before, after, judged, closed)
     white = [_white(identify.with_steps(found.cases, p.structure), p) for p in (first_point, last_point)]
     fit = {
         role: {
