@@ -92,6 +92,24 @@ def test_of_several_recordings_the_one_that_lacks_most_decides():
         assert extend._telling(found)[0] is telling
 
 
+@pytest.mark.parametrize(("missing", "says"), [(("drive_saturation",), True), ((), False)])
+def test_what_only_the_held_out_part_shows_is_said(missing, says):
+    """A drive that saturates above what the fitted part asks of it."""
+    rng = np.random.default_rng(9)
+    time = 0.002 * np.arange(SAMPLES)
+    moment = extend.TRAINING * time[-1]
+    command = np.where(time < moment, 0.5, 1.0) * steps(rng, SAMPLES, 300, 40.0)
+    truth = STRUCTURE.with_(*missing)
+    shaken = command + 0.3 * rng.standard_normal(SAMPLES)
+    y, _ = run(truth, VALUES | ({"saturation_limit": 24.0} if missing else {}), time, shaken)
+    whole = Recording("made", time, command, np.round(y / COUNT) * COUNT, "%", "rad", COUNT)
+    case = likelihood.prepare(whole.part(0.0, moment), STRUCTURE)
+    point = likelihood.fit([case], STRUCTURE, VALUES, FREE)
+    said = extend._unseen(extend.Search(point, point, (), (case,)), [(whole, moment)])
+    assert len(said) == says
+    assert not says or ("from 21 s on" in said[0] and "input" in said[0])
+
+
 def test_p_value_is_uniform_on_noise():
     """Pure noise along a real path, many times over: p below 0.1 in about a tenth."""
     case, point = fitted("nothing")

@@ -33,6 +33,8 @@ MOST = 4
 TURNS = 2
 #: Criteria that differ by less leave two explanations undecided: 73 % to 27 %.
 UNSURE = 2.0 * compare.TEMPER
+#: Where the last model lacks so many times as much as in what was fitted, held-out data show what training did not.
+BEYOND = 3.0
 #: A rival that had earned all but this share of what the winner did is tried in its place.
 NARROW = 0.1
 #: Three time constants, but no less and no more than this, a free run starts ahead of what is judged, s.
@@ -485,7 +487,7 @@ def diagnose(
         faults=tuple(f for r in recordings for f in r.faults),
         experiment=designed,
         undecided=_undecided(found),
-        remarks=tuple(_remarks(found, fit, findings)),
+        remarks=(*_remarks(found, fit, findings), *_unseen(found, held_out)),
         seconds=seconds,
     )
 
@@ -506,4 +508,22 @@ def _remarks(found: Search, fit: Mapping[str, Mapping[str, Fitness]], findings: 
             "likelihood by more than an effect must earn, and effects may be hidden by that: record with fewer "
             "reversals, larger ones, or a load that keeps the teeth together."
         )
+    return said
+
+
+def _unseen(found: Search, held_out: Sequence[tuple[Recording, float]]) -> list[str]:
+    """What the last model lacks in held-out data alone: of physics that did not act before, nobody could tell."""
+    last, said = found.last, []
+    known = max(unknown.leftover(c, last.structure, last.values).size for c in found.cases)
+    for recording, since in held_out:
+        (case,) = identify.prepare([driven(recording)], last.structure)
+        left = unknown.leftover(case, last.structure, last.values, since)
+        if unknown.is_left(left) and left.size > BEYOND * known:
+            when = f" from {since:.3g} s on" if since > 0.0 else ""
+            unit = f"{recording.output_unit.removesuffix('/s')}/s^2"
+            said.append(
+                f"{recording.name}: held-out data{when} show something that what was fitted does not: a torque of "
+                f"{left.size:.2g} {unit} that goes with {' and '.join(left.variables)}. Fit a "
+                "recording in which it acts."
+            )
     return said

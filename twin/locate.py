@@ -36,6 +36,14 @@ class Missing:
     command: FloatArray
     step: float  # median sample time, s
 
+    def since(self, moment: float) -> Missing:
+        """From that moment (s) on."""
+        late = self.time >= moment
+        return Missing(
+            self.time[late], self.torque[late], self.position[late], self.velocity[late], self.acceleration[late],
+            self.command[late], self.step,
+        )  # fmt: skip
+
     def state(self, variable: str) -> FloatArray:
         """The named variable along the recording: one of `VARIABLES`."""
         table = {
