@@ -103,3 +103,16 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
         for value, right in ((kept, True), (bent, False)):
             point = likelihood.evaluate(cases, structure, {**values, name: value}, 1.0)
             assert plausible(cases, point) is right, (effect, value)
+
+
+def test_where_a_recording_begins_is_no_stop() -> None:
+    time = 0.002 * np.arange(2500)
+    rising = Recording("rising", time, np.full(2500, 30.0), 3.0 * (1.0 - np.cos(time)), "%", "rad", 1e-4)
+    structure = Structure.of([*BASE, "end_stop"])
+    cases = [likelihood.prepare(rising, structure)]
+    values = identify.completed(structure, {})
+    for name, value, right in (
+        ("stop_upper", 5.99, True), ("stop_lower", 0.001, False), ("stop_lower", -1.0, True), ("stop_upper", 7.0, True),
+    ):  # fmt: skip
+        point = likelihood.evaluate(cases, structure, {**values, name: value}, 1.0)
+        assert plausible(cases, point) is right, (name, value)

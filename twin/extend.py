@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin import compare, experiment, explain, identify, likelihood, locate, package, screening, unknown
+from twin import compare, experiment, explain, identify, likelihood, locate, meetings, package, screening, unknown
 from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS
 from twin.errors import BadInput
@@ -145,7 +145,9 @@ def search(
     tell = progress or (lambda sentence, share: None)
     tell("fitting the first model", 0.0)
     cases, rough = identify.start(recordings, first, held)
-    cases, fine = identify.polish(cases, identify.refine(cases, identify.with_teeth(first), rough, held))
+    polished, fine = identify.polish(cases, identify.refine(cases, identify.with_teeth(first), rough, held))
+    # What a model without the right physics cannot foresee may be what is looked for.
+    cases = meetings.judged_throughout(polished)
     best = explain.settle(cases, first, fine.values, held, explain.judged(cases, fine))
     candidates = screening.offered(cases, candidates)
     far = explain.contest(cases, rough[0], [c for c in candidates if c not in first])
@@ -441,9 +443,12 @@ def diagnose(
         found = replace(found, last=nameless, rounds=found.rounds[:1], lesser=(), swaps=())
     lap("term without a name")
     tell("fitting both models to the end", 0.87)
-    first_point, last_point = (explain.sharpened(found.cases, p) for p in (found.first, found.last))
-    before = identify.to_model(found.cases, first_point, train, held)
-    after = identify.to_model(found.cases, last_point, train, held)
+    ends = [
+        identify.foreseen(identify.with_steps(found.cases, p.structure), explain.sharpened(found.cases, p))
+        for p in (found.first, found.last)
+    ]
+    before, after = (identify.to_model(cases, p, train, held) for cases, p in ends)
+    first_point, last_point = (p for _, p in ends)
     missing = [
         locate.missing_torque(identify.with_steps([case], p.structure)[0], p.structure, p.values)
         for p in (first_point, last_point)

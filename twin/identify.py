@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import likelihood
+from twin import likelihood, meetings
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
@@ -249,11 +249,22 @@ def _elsewhere(cases: Sequence[Case], point: Point) -> Point:
     return best
 
 
+def foreseen(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:
+    """The cases as they are judged by what the point can foresee, and the maximum near it."""
+    judged = meetings.foreseeable(cases, point)
+    if all(a.unforeseen is b.unforeseen for a, b in zip(judged, cases, strict=True)):
+        return list(cases), point
+    return judged, likelihood.fit(judged, point.structure, point.values, point.free, point.density)
+
+
 def polish(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:
-    """Leave the local valleys that a climb from the coarse values ends in: the contact at the start, the ridge."""
+    """Leave the local valleys that a climb from the coarse values ends in: meetings of motor and link that no model
+    foresees, the contact at the start, the ridge.
+    """
     mine = with_steps(cases, point.structure)
     if likelihood.astray(mine, point):
         return mine, point
+    mine, point = foreseen(mine, point)
     if "backlash" in point.structure:
         chosen = []
         for case in mine:
@@ -272,7 +283,7 @@ def polish(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:
         if other.deviance > point.deviance - point.unit:
             break
         point = likelihood.fit(mine, point.structure, other.values, point.free, point.density)
-    return mine, point
+    return foreseen(mine, point)
 
 
 def base_structure() -> Structure:

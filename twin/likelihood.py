@@ -68,6 +68,7 @@ class Case:
     contact: float  # where in the gap the motor starts: -1, 0 or 1
     start: tuple[float, float]  # position and velocity
     free: NDArray[np.bool_] | None = None  # (N,) where the model runs freely and only that is judged; None: nowhere
+    unforeseen: NDArray[np.bool_] | None = None  # (N,) readings that are followed but not judged; None: none
 
 
 def _reading_variance(recording: Recording) -> float:
@@ -271,7 +272,16 @@ def pieces(
             # What drifts away in a free run is no reading's noise: the errors of all recordings are weighed alike.
             error[~case.free[at]] = np.nan
             variance = np.ones(len(error))
+        if case.unforeseen is not None:
+            error[case.unforeseen[at]] = np.nan
         yield Innovations(error, variance, run.slopes)
+
+
+def states(case: Case, point: Point) -> kernel.Prediction:
+    """The case run through the predictor at a point, with the state (N, 7) at each stamp."""
+    p = kernel.vector(point.structure, dict(point.values))
+    x, _ = _start(case, p, ())
+    return kernel.predict(case.drive, p, x, noise_for(case, point.density), keep_states=True)
 
 
 def innovations(

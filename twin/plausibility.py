@@ -23,6 +23,8 @@ FLUNG = 100.0
 OFF_CENTRE = 0.1
 #: A stop gives way by no larger share of the travel.
 GIVES = 0.2
+#: So much of the travel away from a stop the link does not touch it.
+APART = 0.02
 
 
 def _places(cases: Sequence[Case]) -> NDArray[np.float64]:
@@ -70,10 +72,23 @@ def _eccentricity(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
 
 
 def _stop(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
-    """It stops the link: what gives way further is a spring that grows."""
+    """It stops the link, which comes to it: what gives way further is a spring that grows, and where a recording begins
+    nothing has been met.
+    """
     places = _places(cases)
+    travel = float(np.ptp(places))
     deepest = max(float(places.max()) - values["stop_upper"], values["stop_lower"] - float(places.min()))
-    return deepest <= GIVES * float(np.ptp(places))
+    return deepest <= GIVES * travel and all(
+        _comes(sign * (_places(cases[i : i + 1]) - values[stop]) / travel)
+        for i in range(len(cases))
+        for stop, sign in (("stop_upper", 1.0), ("stop_lower", -1.0))
+    )
+
+
+def _comes(depth: NDArray[np.float64]) -> bool:
+    """Whether the depths (N,) behind a stop, as shares of the travel, are not those of the beginning alone."""
+    away = np.flatnonzero(depth < -APART)
+    return len(away) > 0 and (bool(np.any(depth[away[0] :] > 0.0)) or not np.any(depth > 0.0))
 
 
 RULES: Mapping[str, Rule] = {

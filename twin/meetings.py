@@ -1,0 +1,70 @@
+"""When motor and link meet again, and whether a model can foresee it.
+
+Where the command falls slowly the motor lets go of the link by next to nothing, floats through the gap at a few
+hundredths of a radian per second and meets the other flank at a moment that noise decides. The filter runs on its
+mean, which meets it at one moment; the jolt that it expects and the one that comes are then two errors, each far
+larger than what the filter thinks possible, and an estimate would bend gap, dead-band and shares until they happen
+together. Three such crossings in a minute outweigh all the rest. So readings around a meeting whose moment is unsure
+by enough to be seen are followed by the filter, but not judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin import likelihood
+from twin.likelihood import Case, Point
+
+#: Standard deviations of a meeting's moment, before and after it, in which nothing is judged.
+_WIDE = 2.0
+#: Where more than this share of a recording would not be judged, all of it is: its motor rattles without end.
+MOST = 0.25
+
+
+def _unforeseen(case: Case, point: Point) -> NDArray[np.bool_]:
+    """The stamps (N,) at which the model cannot know whether motor and link have met."""
+    time = case.drive.time
+    hidden = np.zeros(len(time), dtype=bool)
+    run = likelihood.states(case, point)
+    half = 0.5 * point.values["backlash_gap"]
+    touching = np.abs(run.states[:, 2]) >= half * (1.0 - 1e-6)
+    speed = np.abs(run.states[:, 3] - run.states[:, 1])
+    left = np.flatnonzero(touching[:-1] & ~touching[1:])
+    met = np.flatnonzero(~touching[:-1] & touching[1:])
+    share = point.values["motor_share"]
+    variance = case.reading_variance * point.scale
+    density = 0.5 * point.density * variance * (1.0 / share**2 + 1.0 / (1.0 - share) ** 2)
+    memory = likelihood.memory_of(case, point.density)
+    for before in left.tolist():
+        later = met[met > before]
+        if not len(later):
+            continue
+        last = int(later[0])
+        alone = time[last + 1] - time[before]
+        spread = np.sqrt(density * alone**3 / 3.0)
+        unsure = min(spread / max(speed[last], 1e-9), alone)
+        error = share * (speed[last] if case.drive.speed else spread)
+        if error > np.sqrt(variance) and unsure > likelihood.step_of(case):
+            moment = time[last + 1]
+            hidden |= (time > moment - _WIDE * unsure) & (time < moment + _WIDE * unsure + memory)
+    return hidden
+
+
+def judged_throughout(cases: Sequence[Case]) -> list[Case]:
+    """The cases with every reading judged."""
+    return [replace(c, unforeseen=None) for c in cases]
+
+
+def foreseeable(cases: Sequence[Case], point: Point) -> list[Case]:
+    """The cases, judged only where the model at this point can foresee whether motor and link touch."""
+    if "backlash" not in point.structure or "joint_elasticity" in point.structure:
+        return judged_throughout(cases)
+    out = []
+    for case in cases:
+        hidden = _unforeseen(case, point)
+        out.append(replace(case, unforeseen=hidden if 0.0 < hidden.mean() <= MOST else None))
+    return out
