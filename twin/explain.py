@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import compare, identify, likelihood, screening
+from twin import compare, identify, likelihood, meetings, screening
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.likelihood import Case, Point
@@ -162,8 +162,8 @@ def sharpened(cases: Sequence[Case], point: Point) -> Point:
 
 
 def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
-    """Whether the gain rises above the roughness of the likelihood, and filters that forget faster prefer the larger
-    model, too, both adapted to them.
+    """Whether the gain rises above the roughness of the likelihood, and the larger model is preferred, too, where only
+    meetings of motor and link that it foresees are judged, and by filters that forget faster, both adapted to them.
 
     A light motor that rattles in its gap bounces as no model foresees, and a filter that trusts the model longer than
     a bounce rewards whatever moves the bounces to where they happened to be. A shorter memory asks for the same
@@ -172,6 +172,9 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
     if not compare.earns(before, after, max(identify.roughness(cases, before), identify.roughness(cases, after))):
         return False
     memory = likelihood.memory_of(cases[0], before.density)
+    foreseen = meetings.foreseeable(identify.with_steps(cases, after.structure), after)
+    if any(c.unforeseen is not None for c in foreseen) and not _prefers(foreseen, before, after, before.density):
+        return False
     shorter = [memory / times for times in FASTER if memory / times >= BRIEFEST]
     return all(_prefers(cases, before, after, likelihood.density_of(cases[0], m)) for m in shorter)
 
