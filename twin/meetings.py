@@ -35,22 +35,21 @@ def _unforeseen(case: Case, point: Point) -> NDArray[np.bool_]:
     speed = np.abs(run.states[:, 3] - run.states[:, 1])
     left = np.flatnonzero(touching[:-1] & ~touching[1:])
     met = np.flatnonzero(~touching[:-1] & touching[1:])
+    left = left[left < (met[-1] if len(met) else 0)]
+    last = met[np.searchsorted(met, left, "right")]
     share = point.values["motor_share"]
     variance = case.reading_variance * point.scale
     density = 0.5 * point.density * variance * (1.0 / share**2 + 1.0 / (1.0 - share) ** 2)
-    memory = likelihood.memory_of(case, point.density)
-    for before in left.tolist():
-        later = met[met > before]
-        if not len(later):
-            continue
-        last = int(later[0])
-        alone = time[last + 1] - time[before]
-        spread = np.sqrt(density * alone**3 / 3.0)
-        unsure = min(spread / max(speed[last], 1e-9), alone)
-        error = share * (speed[last] if case.drive.speed else spread)
-        if error > np.sqrt(variance) and unsure > likelihood.step_of(case):
-            moment = time[last + 1]
-            hidden |= (time > moment - _WIDE * unsure) & (time < moment + _WIDE * unsure + memory)
+    alone = time[last + 1] - time[left]
+    spread = np.sqrt(density * alone**3 / 3.0)
+    unsure = np.minimum(spread / np.maximum(speed[last], 1e-9), alone)
+    error = share * (speed[last] if case.drive.speed else spread)
+    seen = (error > np.sqrt(variance)) & (unsure > likelihood.step_of(case))
+    moment, reach = time[last + 1][seen], _WIDE * unsure[seen]
+    begin = np.searchsorted(time, moment - reach)
+    end = np.searchsorted(time, moment + reach + likelihood.memory_of(case, point.density))
+    for i, j in zip(begin.tolist(), end.tolist(), strict=True):
+        hidden[i:j] = True
     return hidden
 
 
