@@ -42,6 +42,8 @@ AGAIN = 3
 LONG, SHORT = 0.1, 0.05
 #: Noise densities within this factor judge alike.
 ALIKE = 1.5
+#: Where a unit of deviance is worth less than so many, innovations are white and what they say needs no second filter.
+WHITE = 2.0
 #: What is there shows to filters that forget so many times as fast, too, down to this memory, s.
 FASTER, BRIEFEST = (2.0, 4.0), 0.02
 
@@ -167,14 +169,16 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
 
     A light motor that rattles in its gap bounces as no model foresees, and a filter that trusts the model longer than
     a bounce rewards whatever moves the bounces to where they happened to be. A shorter memory asks for the same
-    physics and is not led astray so far.
+    physics and is not led astray so far; but it forgets a weak and slow torque, and is not asked where nothing rattles.
     """
     if not compare.earns(before, after, max(identify.roughness(cases, before), identify.roughness(cases, after))):
         return False
-    memory = likelihood.memory_of(cases[0], before.density)
     foreseen = meetings.foreseeable(identify.with_steps(cases, after.structure), after)
     if any(c.unforeseen is not None for c in foreseen) and not _prefers(foreseen, before, after, before.density):
         return False
+    if compare.worth([before, after]) < WHITE:
+        return True
+    memory = likelihood.memory_of(cases[0], before.density)
     shorter = [memory / times for times in FASTER if memory / times >= BRIEFEST]
     return all(_prefers(cases, before, after, likelihood.density_of(cases[0], m)) for m in shorter)
 
