@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from axis_runs import run, steps
 
 from twin import compare, explain, extend, identify, kernel, likelihood
 from twin.axis import Structure
@@ -116,3 +117,23 @@ def test_where_a_recording_begins_is_no_stop() -> None:
     ):  # fmt: skip
         point = likelihood.evaluate(cases, structure, {**values, name: value}, 1.0)
         assert plausible(cases, point) is right, (name, value)
+
+
+def test_a_weak_torque_shows_although_a_filter_that_forgets_fast_does_not_see_it() -> None:
+    """Nothing rattles here, so that what a long memory says needs no second opinion."""
+    rng = np.random.default_rng(21)
+    plain = Structure.of(["inertia", "viscous_friction", "dead_band"])
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
+    weak = {"spring_stiffness": 2e-4, "spring_rest": 0.5}
+    time, count = 0.002 * np.arange(15000), 2.0 * np.pi / 16384.0
+    duty = steps(rng, len(time), 300, 40.0)
+    shaken = duty + 0.01 * rng.standard_normal(len(time))
+    y, _ = run(plain.with_("spring"), values | weak, time, shaken)
+    recording = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
+    cases = [likelihood.prepare(recording, plain)]
+    density = likelihood.density_of(cases[0], 0.1)
+    before = explain.settle(cases, plain, values, {}, density)
+    after = explain.settle(cases, plain.with_("spring"), {**before.values, **weak}, {}, density)
+    assert compare.worth([before, after]) < explain.WHITE
+    assert not explain._prefers(cases, before, after, likelihood.density_of(cases[0], 0.025))
+    assert explain.shows(cases, before, after)
