@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from axis_runs import run, steps
 
-from twin import compare, explain, extend, identify, kernel, likelihood
+from twin import compare, explain, extend, identify, kernel, likelihood, meetings
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.plausibility import plausible
@@ -51,6 +51,10 @@ def test_what_only_a_long_memory_prefers_does_not_show(monkeypatch) -> None:
     point = likelihood.Point(Structure.of(BASE), {}, density, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
     larger = replace(point, values={"gain": 1.0}, deviance=-10.0 * compare.LEAST)
 
+    # A motor that rattles, and meetings of it that are all foreseen.
+    monkeypatch.setattr(compare, "worth", lambda points: explain.WHITE)
+    monkeypatch.setattr(meetings, "foreseeable", lambda cases, point: cases)
+
     def judged(better_until: float):
         def climb(cases, structure, values, density, free, rounds, tolerance):
             shorter = memory / likelihood.memory_of(case, density)
@@ -73,6 +77,7 @@ def test_what_a_rough_likelihood_gives_anywhere_is_no_gain(monkeypatch) -> None:
         structure, {"backlash_gap": 0.02}, density, ("backlash_gap",), 0.0, 1.0, np.eye(1), np.zeros(1), np.eye(1)
     )
     after = replace(before, values={"backlash_gap": 0.03}, deviance=-3.0 * compare.LEAST)
+    monkeypatch.setattr(meetings, "foreseeable", lambda cases, point: cases)
     for jump, shown in ((0.0, True), (1.0, True), (4.0, False)):
 
         def trembling(cases, structure, trials, density, jump=jump):
