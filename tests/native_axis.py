@@ -34,6 +34,9 @@ VALUES = {
     "gravity_angle": 0.2,
     "spring_stiffness": 1.5,
     "ripple_torque": 1.1,
+    # A push that sets in at once, as that of damping does, is where solvers without state events go apart.
+    "stop_damping": 0.0,
+    "stop_hysteresis": 0.5,
     "stop_upper": 6.0,
     "stop_lower": -6.0,
     "joint_frequency": 12.0,
