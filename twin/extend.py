@@ -443,12 +443,14 @@ def diagnose(
         found = replace(found, last=nameless, rounds=found.rounds[:1], lesser=(), swaps=())
     lap("term without a name")
     tell("fitting both models to the end", 0.87)
-    ends = [
-        identify.foreseen(identify.with_steps(found.cases, p.structure), explain.sharpened(found.cases, p))
-        for p in (found.first, found.last)
-    ]
-    before, after = (identify.to_model(cases, p, train, held) for cases, p in ends)
-    first_point, last_point = (p for _, p in ends)
+    # Of a model without the right physics nobody can say what it would have to foresee.
+    first_point, last_point = (explain.sharpened(found.cases, p) for p in (found.first, found.last))
+    judged, last_point = identify.foreseen(identify.with_steps(found.cases, last_point.structure), last_point)
+    before = after = identify.to_model(judged, last_point, train, held)
+    if first_point.structure == last_point.structure:
+        first_point = last_point
+    else:
+        before = identify.to_model(found.cases, first_point, train, held)
     missing = [
         locate.missing_torque(identify.with_steps([case], p.structure)[0], p.structure, p.values)
         for p in (first_point, last_point)
@@ -456,8 +458,8 @@ def diagnose(
     shapes = [tuple(locate.shapes(m)) for m in missing]
     lap("locate")
     tell("checking on held-out data through the FMU", 0.9)
-    judged = [*(("train", r, 0.0) for r in train), *(("holdout", r, since) for r, since in held_out)]
-    shown = traces(before, after, judged, closed)
+    runs = [*(("train", r, 0.0) for r in train), *(("holdout", r, since) for r, since in held_out)]
+    shown = traces(before, after, runs, closed)
     white = [_white(identify.with_steps(found.cases, p.structure), p) for p in (first_point, last_point)]
     fit = {
         role: {
