@@ -520,17 +520,20 @@ def _remarks(found: Search, fit: Mapping[str, Mapping[str, Fitness]], findings: 
 
 def _unseen(found: Search, held_out: Sequence[tuple[Recording, float]]) -> list[str]:
     """What the last model lacks in held-out data alone: of physics that did not act before, nobody could tell."""
-    last, said = found.last, []
-    known = max(unknown.leftover(c, last.structure, last.values).size for c in found.cases)
+    last = found.last
+    lacking = []
     for recording, since in held_out:
         (case,) = identify.prepare([driven(recording)], last.structure)
         left = unknown.leftover(case, last.structure, last.values, since)
-        if unknown.is_left(left) and left.size > BEYOND * known:
-            when = f" from {since:.3g} s on" if since > 0.0 else ""
-            unit = f"{recording.output_unit.removesuffix('/s')}/s^2"
-            said.append(
-                f"{recording.name}: held-out data{when} show something that what was fitted does not: a torque of "
-                f"{left.size:.2g} {unit} that goes with {' and '.join(left.variables)}. Fit a "
-                "recording in which it acts."
-            )
-    return said
+        if unknown.is_left(left):
+            lacking.append((recording, since, left))
+    if not lacking:
+        return []
+    known = max(unknown.leftover(c, last.structure, last.values).size for c in found.cases)
+    return [
+        f"{recording.name}: held-out data{f' from {since:.3g} s on' if since > 0.0 else ''} show something that what "
+        f"was fitted does not: a torque of {left.size:.2g} {recording.output_unit.removesuffix('/s')}/s^2 that goes "
+        f"with {' and '.join(left.variables)}. Fit a recording in which it acts."
+        for recording, since, left in lacking
+        if left.size > BEYOND * known
+    ]

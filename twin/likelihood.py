@@ -277,11 +277,11 @@ def pieces(
         yield Innovations(error, variance, run.slopes)
 
 
-def states(case: Case, point: Point) -> kernel.Prediction:
-    """The case run through the predictor at a point, with the state (N, 7) at each stamp."""
-    p = kernel.vector(point.structure, dict(point.values))
+def states(case: Case, structure: Structure, values: Mapping[str, float], density: float) -> kernel.Prediction:
+    """The case run through the predictor, with the state (N, 7) at each stamp."""
+    p = kernel.vector(structure, dict(values))
     x, _ = _start(case, p, ())
-    return kernel.predict(case.drive, p, x, noise_for(case, point.density), keep_states=True)
+    return kernel.predict(case.drive, p, x, noise_for(case, density), keep_states=True)
 
 
 def innovations(

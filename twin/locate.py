@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import kernel, likelihood
+from twin import likelihood
 from twin.axis import Structure
 from twin.likelihood import Case
 
@@ -94,10 +94,7 @@ def missing_torque(case: Case, structure: Structure, values: Mapping[str, float]
     """Read the missing torque off the corrections of a filter with the given memory, s."""
     step = float(np.median(np.diff(case.drive.time)))
     memory = max(memory, 4.0 * step)
-    p = kernel.vector(structure, dict(values))
-    noise = likelihood.noise_for(case, likelihood.density_of(case, memory))
-    x = kernel.start_state(*case.start, 0.5 * case.contact * values.get("backlash_gap", 0.0))
-    run = kernel.predict(case.drive, p, x, noise, keep_states=True)
+    run = likelihood.states(case, structure, values, likelihood.density_of(case, memory))
     error = case.drive.measured - run.reading
     interval = np.diff(case.drive.time, append=case.drive.time[-1] + step)
     raw = run.pull * error / interval

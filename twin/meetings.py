@@ -29,7 +29,7 @@ def _unforeseen(case: Case, point: Point) -> NDArray[np.bool_]:
     """The stamps (N,) at which the model cannot know whether motor and link have met."""
     time = case.drive.time
     hidden = np.zeros(len(time), dtype=bool)
-    run = likelihood.states(case, point)
+    run = likelihood.states(case, point.structure, point.values, point.density)
     half = 0.5 * point.values["backlash_gap"]
     touching = np.abs(run.states[:, 2]) >= half * (1.0 - 1e-6)
     speed = np.abs(run.states[:, 3] - run.states[:, 1])

@@ -79,8 +79,8 @@ def _stop(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     travel = float(np.ptp(places))
     deepest = max(float(places.max()) - values["stop_upper"], values["stop_lower"] - float(places.min()))
     return deepest <= GIVES * travel and all(
-        _comes(sign * (_places(cases[i : i + 1]) - values[stop]) / travel)
-        for i in range(len(cases))
+        _comes(sign * (_places([case]) - values[stop]) / travel)
+        for case in cases
         for stop, sign in (("stop_upper", 1.0), ("stop_lower", -1.0))
     )
 
