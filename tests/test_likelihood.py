@@ -74,6 +74,27 @@ def test_errors_that_hang_together_widen_the_standard_errors(correlated: float, 
     assert least <= float(np.median(wider)) < most
 
 
+def test_what_stretches_say_is_the_sum_of_what_their_readings_say() -> None:
+    case = made(duration=5.0)
+    case.drive.measured[[300, 2200]] += 30.0 * COUNT
+    blank, weight = np.zeros(len(case.drive.time), dtype=bool), np.zeros(len(case.drive.time))
+    blank[600:1100] = True  # more than a stretch
+    case = replace(case, unforeseen=blank)
+    point = likelihood.evaluate([case], STRUCTURE, VALUES, 1.0, FREE)
+    run = likelihood.innovations(case, STRUCTURE, VALUES, 1.0, FREE)
+    z = run.error / np.sqrt(run.variance * point.scale)
+    assert np.count_nonzero(np.abs(z) > likelihood.ROBUST_LIMIT) > 0 and np.isnan(z[800])
+    weight[~blank] = np.minimum(1.0, likelihood.ROBUST_LIMIT / np.maximum(np.abs(z[~blank]), 1e-9))
+    per = weight / (run.variance * point.scale)
+    pulls = run.slopes * (per * np.where(blank, 0.0, run.error))[:, None]
+    each = [pulls[i : i + 250].sum(axis=0) for i in range(0, 2500, 250) if not blank[i : i + 250].all()]
+    assert len(each) == 9
+    np.testing.assert_allclose(point.gradient, pulls.sum(axis=0), rtol=1e-9, atol=1e-12 * np.abs(pulls).sum())
+    np.testing.assert_allclose(point.normal, run.slopes.T @ (per[:, None] * run.slopes), rtol=1e-9, atol=1e-9)
+    by_stretch, _ = likelihood._by_stretch([case], STRUCTURE, VALUES, 1.0, FREE, point.scale, None, 0.5)
+    np.testing.assert_allclose(by_stretch, each, rtol=1e-7, atol=1e-9 * np.abs(pulls).sum())
+
+
 def test_values_so_wild_that_the_model_overflows_are_refused_without_a_word() -> None:
     case = made(duration=5.0)
     wild = [VALUES | {"input_gain": gain} for gain in (1e160, 1e300)]

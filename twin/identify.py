@@ -38,10 +38,11 @@ _GRID = {
     "friction_share": (0.4, 0.8),
 }
 _TEETH = {"tooth_frequency": (60.0, 90.0, 130.0, 190.0), "tooth_damping": (0.12, 0.2, 0.35, 0.5)}
-#: Looked through rigid teeth the motor seemed so much too heavy or too light.
-_LIGHTER = (0.7, 1.0, 1.4)
-#: Noise densities at which teeth are looked for, over that of the coarse point, and the shortest memory of these, s.
-_FORGETFUL, _BRIEF = (1.0, 30.0, 1e3, 3e4), 0.007
+#: The shortest memory of the filter from which on it is lengthened, s, and how often it is at most.
+_BRIEF, _RUNGS = 0.007, 12
+#: Coarse values are looked for in so many parts of a recording, of so many seconds each: more would say no more of
+#: where the valleys lie, and take longer.
+_PARTS, _LASTING = 5, 4.0
 #: Changes of teeth and gap that matter to nothing but the order of bounces, as shares of their values.
 _TREMBLE = {"tooth_frequency": 0.01, "tooth_damping": 0.01, "backlash_gap": 0.001}
 
@@ -91,6 +92,20 @@ def prepare(recordings: Sequence[Recording], structure: Structure, closed: bool 
     cases = [likelihood.prepare(r, structure, closed) for r in recordings]
     least = min((c.reading_variance for c in cases), default=0.0)
     return [replace(c, reading_variance=least) for c in cases]
+
+
+def _glimpses(cases: Sequence[Case], structure: Structure) -> list[Case]:
+    """Parts of the recordings, spread evenly, in which coarse values are looked for; a short recording is one part."""
+    parts = []
+    for case in cases:
+        end = float(case.recording.time[-1])
+        if end <= _PARTS * _LASTING:
+            parts.append(case)
+            continue
+        for begin in np.linspace(0.0, end - _LASTING, _PARTS).tolist():
+            part = likelihood.prepare(case.recording.part(begin, begin + _LASTING), structure)
+            parts.append(replace(part, reading_variance=case.reading_variance))
+    return parts
 
 
 def _choose_contacts(cases: Sequence[Case], structure: Structure, values: Mapping[str, float]) -> list[Case]:
@@ -147,32 +162,30 @@ def start(
     rigid = structure.without("tooth_compliance")
     cases = prepare(recordings, rigid)
     values = {**start_values(cases, rigid), **held}
+    seen = _glimpses(cases, rigid)
     with ThreadPoolExecutor(2) as pool:
-        points = list(pool.map(lambda m: coarse(cases, rigid, values, held, m), MEMORIES))
+        points = list(pool.map(lambda m: coarse(seen, rigid, values, held, m), MEMORIES))
     return _choose_contacts(cases, rigid, points[0].values), points
 
 
-def _doors(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], density: float, free: tuple[str, ...]
-) -> list[Point]:
-    """Into the likeliest valleys of the teeth: one for each of several noise densities, a few steps in.
+def _lengthened(
+    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], free: tuple[str, ...]
+) -> Point:
+    """The likeliest point on the way from a filter that forgets at once to one that remembers for long.
 
-    A light motor bounces in its gap, and whatever moves a bounce makes a valley. A filter that forgets fast has lost
-    the bounces and sees the wide valleys of how hard the first landing is; one that remembers sees them all.
+    A light motor bounces in its gap, and whatever moves a bounce makes a valley. A filter that forgets has lost the
+    bounces and sees one wide valley of how hard motor and link meet; as it remembers more, this valley divides, and
+    the climb stays in the part that it is in. Where the model is wrong, a short memory is the best that there is.
     """
-    grid: dict[str, tuple[float, ...]] = dict(_TEETH)
-    if "motor_share" in free:
-        low, high = likelihood.bounds_of("motor_share")
-        grid["motor_share"] = tuple(min(max(f * values["motor_share"], low), high) for f in _LIGHTER)
-    densest = min(likelihood.densest(cases), likelihood.density_of(cases[0], _BRIEF))
-    densities = [density * f for f in _FORGETFUL if f == 1.0 or density * f <= densest]
-    begun = [(_scan(cases, structure, values, d, grid, keep=1)[0], d) for d in densities]
-
-    def enter(door: tuple[dict[str, float], float]) -> Point:
-        return likelihood.climb(cases, structure, *door, free, rounds=4, tolerance=1.0)
-
-    with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(enter, begun))
+    shortest = max(_BRIEF, *(likelihood.memory_of(c, likelihood.densest([c])) for c in cases))
+    points: list[Point] = []
+    for rung in range(_RUNGS):
+        density = likelihood.density_of(cases[0], shortest * 2.0 ** (0.5 * rung))
+        points.append(likelihood.climb(cases, structure, values, density, free, rounds=15, tolerance=1.0))
+        values = points[-1].values
+        if min(p.deviance for p in points) < min(p.deviance for p in points[-2:]):
+            break
+    return min(points, key=lambda p: p.deviance)
 
 
 def likeliest_teeth(
@@ -188,19 +201,18 @@ def refine(cases: Sequence[Case], structure: Structure, begun: Sequence[Point], 
     """The maximum of the full likelihood from coarse points, teeth included where the structure has them."""
     mine = with_steps(cases, structure)
     free = tuple(n for n in free_parameters(structure) if n not in held)
-    inside = [(completed(structure, p.values), p.density) for p in begun]
-    if "tooth_compliance" in structure:
-        doors = [door for values, density in inside for door in _doors(mine, structure, values, density, free)]
-        inside = [(p.values, p.density) for p in sorted(doors, key=lambda p: p.deviance)[:2]]
     with ThreadPoolExecutor(2) as pool:
-        fits = pool.map(lambda start: likelihood.fit(mine, structure, start[0], free, start[1]), inside)
-        return min(fits, key=lambda p: p.deviance)
+        found = pool.map(lambda p: _lengthened(mine, structure, completed(structure, p.values), free), begun)
+        best = min(found, key=lambda p: p.deviance)
+    return likelihood.fit(mine, structure, best.values, free, best.density)
 
 
 #: Bounded and kinked parameters, whose likelihood is no parabola.
 PROFILED = ("dead_band_forward", "dead_band_reverse", "backlash_gap")
 _RIDGE = ("dead_band_forward", "dead_band_reverse")
 _FOLLOW = ("input_gain", "viscous_friction")
+#: By which powers of the gap the shares go with it, so that the motor crosses it in the same time.
+_LIGHTER = {"motor_share": -1.0, "friction_share": -1.0}
 
 
 def _dead_bands(cases: Sequence[Case], point: Point) -> list[dict[str, float]]:
@@ -224,7 +236,7 @@ def _gaps(cases: Sequence[Case], point: Point) -> list[dict[str, float]]:
     """A wider gap and a lighter motor: it takes as long to cross and hits the link as hard, so that the likelihood
     has a ridge there, and every bounce makes a valley across it.
     """
-    moving = {"backlash_gap": 1.0, "motor_share": -1.0, "friction_share": -1.0}
+    moving = {"backlash_gap": 1.0, **_LIGHTER}
     if not set(moving) <= set(point.free):
         return []
     trials = [
@@ -424,6 +436,24 @@ def for_horizon(model: Model, recordings: Sequence[Recording], horizon: float, c
     )
 
 
+def _intervals(cases: Sequence[Case], point: Point, model: Model) -> dict[str, tuple[float, float]]:
+    """95 % intervals of the parameters for which a standard error is not enough."""
+    powers = {"backlash_gap": _LIGHTER}
+    names = [n for n in PROFILED if n in point.free]
+    with ThreadPoolExecutor(2) as pool:
+        ends = pool.map(
+            lambda n: likelihood.profile_interval(cases, point, n, model.std(n), powers.get(n, {})), names
+        )
+        found = dict(zip(names, ends, strict=True))
+    if {"backlash_gap", "motor_share"} <= set(point.free):
+        # Along the ridge the motor's share goes with the gap, and so it is no better known.
+        share, wide = point.values["motor_share"], 1.96 * model.std("motor_share")
+        lighter, heavier = (share * point.values["backlash_gap"] / max(g, 1e-9) for g in found["backlash_gap"][::-1])
+        low, high = likelihood.bounds_of("motor_share")
+        found["motor_share"] = (max(min(share - wide, lighter), low), min(max(share + wide, heavier), high))
+    return found
+
+
 def identify(
     recordings: Sequence[Recording],
     structure: Structure,
@@ -444,7 +474,4 @@ def identify(
     cases, point = polish(cases, point)
     model = to_model(cases, point, train, held)
     tell("profiles of the likelihood", 0.85)
-    names = [n for n in PROFILED if n in point.free]
-    with ThreadPoolExecutor(2) as pool:
-        found = pool.map(lambda n: likelihood.profile_interval(cases, point, n, model.std(n)), names)
-        return replace(model, intervals=dict(zip(names, found, strict=True)))
+    return replace(model, intervals=_intervals(cases, point, model))

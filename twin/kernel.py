@@ -35,7 +35,14 @@ from twin.writers import drivers, tangent
 from twin.writers.python import Numbering, module, numbering, resolve
 
 FloatArray = NDArray[np.float64]
-_LOOPS = (drivers.believing, drivers.spreading, drivers.correcting, drivers.predict, drivers.predict_t)
+_LOOPS = (
+    drivers.believing,
+    drivers.spreading,
+    drivers.correcting,
+    drivers.predict,
+    drivers.predict_t,
+    drivers.gathering,
+)
 
 _HEAD = """import numpy as np
 from math import cos, exp, sin, sqrt, tanh
@@ -281,3 +288,11 @@ def predict_with_slopes(
 def known_vector(known: Mapping[str, float]) -> FloatArray:
     """The recording's known quantities in the kernel's order; absent ones are zero."""
     return np.array([float(known.get(name, 0.0)) for name in KNOWN])
+
+
+def gather(
+    error: FloatArray, variance: FloatArray, limit: float, stretch: NDArray[np.intp], slopes: FloatArray,
+    pulls: FloatArray, weights: FloatArray, read: NDArray[np.intp],
+) -> None:  # fmt: skip
+    """As `drivers.gathering`, compiled."""
+    compiled().gathering(error, variance, limit, stretch, slopes, pulls, weights, read)

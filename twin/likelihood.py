@@ -14,9 +14,7 @@ The maximum is found by Gauss-Newton steps on exact derivatives, with damping, b
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -344,44 +342,41 @@ def evaluate(
     scale = _scale_of(joined)
     loss = sum(float(_loss(joined[i : i + AT_ONCE] / scale)[0].sum()) for i in range(0, count, AT_ONCE))
     deviance = loss + logs + count * math.log(scale)
-    normal, gradient, scatter, stretches = np.zeros((n, n)), np.zeros(n), np.zeros((n, n)), 0
-    if n:
-        ids, pulls = [], []
-        for block, r in _in_stretches(cases, structure, values, density, free, None if long else results, stretch):
-            ok = np.isfinite(r.error)
-            error = np.where(ok, r.error, 0.0)
-            _, weight = _loss(error**2 / (r.variance * scale))
-            weighted = r.slopes * (ok * weight / (scale * r.variance))[:, None]
-            normal += weighted.T @ r.slopes
-            starts = np.flatnonzero(np.diff(block, prepend=-1))
-            read = np.logical_or.reduceat(ok, starts)
-            ids.append(block[starts][read])
-            pulls.append(np.add.reduceat(weighted * error[:, None], starts, axis=0)[read])
-        # A stretch may have been cut in two.
-        joined_ids, joined_pulls = np.concatenate(ids), np.concatenate(pulls)
-        each = np.add.reduceat(joined_pulls, np.flatnonzero(np.diff(joined_ids, prepend=-1)), axis=0)
-        gradient, scatter, stretches = each.sum(axis=0), each.T @ each, len(each)
+    pulls, weights = _by_stretch(cases, structure, values, density, free, scale, None if long else results, stretch)
+    normal, gradient, scatter = weights.sum(axis=0), pulls.sum(axis=0), pulls.T @ pulls
     if not np.all(np.isfinite(normal)) or not np.all(np.isfinite(gradient)):
         return lost
     # The maximum has used up a stretch for each parameter (MacKinnon and White, J. Econometrics 29, 1985).
+    stretches = len(pulls)
     scatter = scatter * (stretches / (stretches - n)) if stretches > n + LEFT else normal
     return Point(structure, dict(values), density, free, deviance, scale, normal, gradient, scatter)
 
 
-def _in_stretches(
+def _by_stretch(
     cases: Sequence[Case], structure: Structure, values: Mapping[str, float], density: float, free: tuple[str, ...],
-    results: Sequence[Innovations] | None, stretch: float,
-) -> Iterator[tuple[NDArray[np.intp], Innovations]]:  # fmt: skip
-    """Innovations and the number of the stretch that each is of, run piece by piece where there are no results."""
-    first = 0
-    for i, case in enumerate(cases):
+    scale: float, results: Sequence[Innovations] | None, stretch: float,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Slope (M, n) of the log-likelihood and information (M, n, n) of each stretch in which something was read.
+
+    Without results the recordings are run again, piece by piece.
+    """
+    blocks, count = [], 0
+    for case in cases:
+        blocks.append(count + (case.drive.time / stretch).astype(np.intp))
+        count = int(blocks[-1][-1]) + 1
+    n = len(free)
+    if not n:
+        return np.zeros((0, 0)), np.zeros((0, 0, 0))
+    pulls, weights, read = np.zeros((count, n)), np.zeros((count, n, n)), np.zeros(count, dtype=np.intp)
+    for i, (case, block) in enumerate(zip(cases, blocks, strict=True)):
         begin = 0
-        blocks = first + (case.drive.time / stretch).astype(np.intp)
-        first = int(blocks[-1]) + 1
         runs = pieces(case, structure, values, density, free, AT_ONCE) if results is None else iter([results[i]])
         for r in runs:
-            yield blocks[begin : begin + len(r.error)], r
+            at = block[begin : begin + len(r.error)]
+            kernel.gather(r.error, r.variance * scale, ROBUST_LIMIT, at, r.slopes, pulls, weights, read)
             begin += len(r.error)
+    lower = np.tril(weights[read > 0])
+    return pulls[read > 0], lower + np.tril(lower, -1).transpose(0, 2, 1)
 
 
 @_unheeded()
@@ -391,23 +386,15 @@ def robust_covariance(cases: Sequence[Case], point: Point, stretch: float = _STR
     A parameter that a few stretches decide bends to what these happen to say, and the errors there look small: the
     estimate without a stretch tells how much hangs on it (jackknife; MacKinnon and White, J. Econometrics 29, 1985).
     """
-    n = len(point.free)
-    pulls: dict[int, FloatArray] = defaultdict(lambda: np.zeros(n))
-    weights: dict[int, FloatArray] = defaultdict(lambda: np.zeros((n, n)))
-    for block, run in _in_stretches(cases, point.structure, point.values, point.density, point.free, None, stretch):
-        ok = np.isfinite(run.error)
-        here, error, slopes, variance = block[ok], run.error[ok], run.slopes[ok], run.variance[ok] * point.scale
-        weighted = slopes * (_loss(error**2 / variance)[1] / variance)[:, None]
-        edges = [*np.flatnonzero(np.diff(here, prepend=-1)).tolist(), len(here)]
-        for begin, end in itertools.pairwise(edges):
-            pulls[int(here[begin])] += weighted[begin:end].T @ error[begin:end]
-            weights[int(here[begin])] += weighted[begin:end].T @ slopes[begin:end]
+    pulls, weights = _by_stretch(
+        cases, point.structure, point.values, point.density, point.free, point.scale, None, stretch
+    )
     plain = point.covariance
-    if len(pulls) <= 2 * n:
+    if len(pulls) <= 2 * len(point.free):
         return plain
-    whole = np.sum(list(weights.values()), axis=0)
+    whole = weights.sum(axis=0)
     size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
-    moved = [solved((whole - weights[i]) / np.outer(size, size), pulls[i] / size) / size for i in pulls]
+    moved = [solved((whole - w) / np.outer(size, size), g / size) / size for g, w in zip(pulls, weights, strict=True)]
     wider = np.sqrt(np.maximum(np.sum(np.square(moved), axis=0) / np.maximum(np.diag(plain), 1e-300), 1.0))
     return np.asarray(plain * np.outer(wider, wider))
 
@@ -433,6 +420,11 @@ def bounds_of(name: str) -> tuple[float, float]:
 def within_bounds(values: Mapping[str, float]) -> bool:
     """Whether every parameter lies where it may."""
     return all(_BOUNDS[n][0] <= v <= _BOUNDS[n][1] for n, v in values.items())
+
+
+def _within(values: Mapping[str, float]) -> dict[str, float]:
+    """The values, each moved to its nearest bound where it lies beyond."""
+    return {n: min(max(v, _BOUNDS[n][0]), _BOUNDS[n][1]) for n, v in values.items()}
 
 
 def _moved(point: Point, damping: float) -> dict[str, float]:
@@ -508,36 +500,65 @@ _CHI2_95 = 3.841
 PASSES, REFITS = 4, 8
 
 
-def profile_interval(cases: Sequence[Case], point: Point, name: str, std: float) -> tuple[float, float]:
+def _by_slope(point: Point, name: str, value: float) -> dict[str, float]:
+    """The values with a free parameter at this one, and the others where the information says that they follow it."""
+    i = point.free.index(name)
+    rest = [k for k in range(len(point.free)) if k != i]
+    slope = -solved(point.normal[np.ix_(rest, rest)], point.normal[rest, i])
+    change = {point.free[k]: (value - point.values[name]) * f for k, f in zip(rest, slope.tolist(), strict=True)}
+    return {**point.values, **_within({n: point.values[n] + c for n, c in change.items()}), name: value}
+
+
+def _by_powers(point: Point, name: str, value: float, powers: Mapping[str, float]) -> dict[str, float]:
+    """The same where others go with powers of it."""
+    ratio = max(value, 1e-3 * point.values[name]) / max(point.values[name], 1e-300)
+    moved = {n: point.values[n] * ratio**power for n, power in powers.items() if n in point.free}
+    return {**point.values, **_within(moved), name: value}
+
+
+def profile_interval(
+    cases: Sequence[Case], point: Point, name: str, std: float, powers: Mapping[str, float]
+) -> tuple[float, float]:
     """95 % interval of a free parameter from the profile of the likelihood, all others refitted.
 
     For bounded and kinked parameters, whose likelihood is no parabola: on either side the profile is looked at where
-    the parabola of the standard error `std` would end, and the end moved to where it says. Where a unit of deviance
-    is worth so little that a profile would only show how the model errs, the parabola has to do.
+    the parabola of the standard error `std` would end, and the end moved to where it says. Where a unit of deviance is
+    worth so little that a profile would only show how the model errs, the parabola has to do.
+
+    `powers` says how others go with the parameter along a ridge of the likelihood. Bounces of a light motor make
+    valleys across it, and beyond the end that a profile finds others may be as deep: the interval holds these, too.
     """
-    i = point.free.index(name)
+    here = point.values[name]
     others = tuple(n for n in point.free if n != name)
-    index = [k for k in range(len(point.free)) if k != i]
-    plain = math.sqrt(max(float(point.covariance[i, i]), 1e-300))
+    plain = math.sqrt(max(float(point.covariance[(point.free.index(name),) * 2]), 1e-300))
     wanted = _CHI2_95 * (std / plain) ** 2
-    follow = -solved(point.normal[np.ix_(index, index)], point.normal[index, i])
-    low, high = _BOUNDS[name]
+    passes = PASSES if point.unit < ERRS else 0
+
+    def likeliest(near: Point, value: float, free: tuple[str, ...]) -> Point:
+        begun = [_by_slope(near, name, value)] + ([_by_powers(near, name, value, powers)] if powers else [])
+        reached = [climb(cases, point.structure, begin, point.density, free, REFITS) for begin in begun]
+        return min(reached, key=lambda p: p.deviance)
+
     ends = []
-    for bound, sign in ((low, -1.0), (high, 1.0)):
-        reach = min(1.96 * std, sign * (bound - point.values[name]))
-        for _ in range(PASSES if point.unit < ERRS else 0):
+    for bound, sign in zip(_BOUNDS[name], (-1.0, 1.0), strict=True):
+        room = sign * (bound - here)
+        reach = min(1.96 * std, room)
+        for _ in range(passes):
             if reach <= 0.0:
                 break
-            moved = {n: point.values[n] + sign * reach * f for n, f in zip(others, follow.tolist(), strict=True)}
-            moved = {n: min(max(v, _BOUNDS[n][0]), _BOUNDS[n][1]) for n, v in moved.items()}
-            value = point.values[name] + sign * reach
-            trial = climb(cases, point.structure, {**point.values, **moved, name: value}, point.density, others, REFITS)
-            rise = trial.deviance - point.deviance
+            rise = likeliest(point, here + sign * reach, others).deviance - point.deviance
             factor = math.sqrt(wanted / rise) if rise > 0.0 else 2.0
-            reach = min(reach * min(max(factor, 0.4), 2.0), sign * (bound - point.values[name]))
+            reach = min(reach * min(max(factor, 0.4), 2.0), room)
             if 0.7 < factor < 1.4:
                 break
-        ends.append(point.values[name] + sign * max(reach, 0.0))
+        valley, held = point, reach
+        for _ in range(passes if powers else 0):
+            valley = likeliest(valley, here + sign * min(held + 0.5 * reach, room), point.free)
+            found = sign * (valley.values[name] - here)
+            if valley.deviance - point.deviance > wanted or found <= held:
+                break
+            held = found
+        ends.append(here + sign * max(held, 0.0))
     return ends[0], ends[1]
 
 

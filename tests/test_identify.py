@@ -1,0 +1,59 @@
+"""The way to the maximum: parts of long recordings, a memory that grows, intervals that hold the valleys beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from axis_runs import run, steps
+
+from twin import identify, likelihood
+from twin.recording import Recording
+
+STRUCTURE, COUNT = identify.base_structure(), 6e-4
+VALUES = {
+    "input_gain": 0.3, "viscous_friction": 3.0, "dead_band_forward": 5.0, "dead_band_reverse": 6.0,
+    "backlash_gap": 0.03, "motor_share": 0.3, "friction_share": 0.6, "tooth_frequency": 80.0, "tooth_damping": 0.25,
+}  # fmt: skip
+
+
+def made(count: int) -> Recording:
+    """Steps of random duty on the model, read in counts."""
+    time, duty = 0.002 * np.arange(count), steps(np.random.default_rng(3), count, 200, 40.0)
+    read = COUNT * np.round(run(STRUCTURE, VALUES, time, duty)[0] / COUNT)
+    return Recording("made", time, duty, read, "%", "rad", COUNT)
+
+
+def test_a_long_recording_is_looked_at_in_parts_from_its_beginning_to_its_end() -> None:
+    whole = identify.prepare([made(30000)], STRUCTURE)
+    parts = identify._glimpses(whole, STRUCTURE)
+    assert len(parts) == 5 and {p.reading_variance for p in parts} == {whole[0].reading_variance}
+    assert all(p.drive.time[0] == 0.0 and p.drive.time[-1] == pytest.approx(4.0, abs=0.003) for p in parts)
+    first, last, output = parts[0].recording.output, parts[-1].recording.output, whole[0].recording.output
+    np.testing.assert_array_equal(first, output[: len(first)])
+    np.testing.assert_array_equal(last, output[-len(last) :])
+    short = identify.prepare([made(10000)], STRUCTURE)
+    assert identify._glimpses(short, STRUCTURE) == short
+
+
+@pytest.mark.parametrize("gap", [0.022, 0.05])
+def test_a_memory_that_grows_leads_from_another_gap_and_other_teeth_to_the_truth(gap: float) -> None:
+    """A climb with the memory at which all ends gets no further than a valley nearby."""
+    cases = identify.with_steps(identify.prepare([made(10000)], STRUCTURE), STRUCTURE)
+    free = identify.free_parameters(STRUCTURE)
+    apart = {"backlash_gap": gap, "motor_share": 0.3 * 0.03 / gap, "tooth_frequency": 120.0, "tooth_damping": 0.4}
+    point = identify._lengthened(cases, STRUCTURE, VALUES | apart, free)
+    assert point.values["backlash_gap"] == pytest.approx(VALUES["backlash_gap"], rel=0.03)
+    assert point.values["tooth_frequency"] == pytest.approx(VALUES["tooth_frequency"], rel=0.05)
+    direct = likelihood.climb(cases, STRUCTURE, VALUES | apart, point.density, free)
+    assert direct.deviance > point.deviance + 100.0
+
+
+def test_the_intervals_hold_the_truth_and_the_share_goes_with_the_gap() -> None:
+    model = identify.identify([made(10000)], STRUCTURE)
+    for name in (*identify.PROFILED, "motor_share"):
+        low, high = model.intervals[name]
+        assert low < model.values[name] < high
+        assert low <= VALUES[name] <= high, name
+    (thin, wide), (light, heavy) = model.intervals["backlash_gap"], model.intervals["motor_share"]
+    product = model.values["backlash_gap"] * model.values["motor_share"]
+    assert light <= product / wide and product / thin <= heavy
