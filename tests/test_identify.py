@@ -57,3 +57,10 @@ def test_the_intervals_hold_the_truth_and_the_share_goes_with_the_gap() -> None:
     (thin, wide), (light, heavy) = model.intervals["backlash_gap"], model.intervals["motor_share"]
     product = model.values["backlash_gap"] * model.values["motor_share"]
     assert light <= product / wide and product / thin <= heavy
+
+
+def test_a_parameter_without_a_trace_may_be_anything_within_its_bounds() -> None:
+    cases = identify.with_steps(identify.prepare([made(2000)], STRUCTURE), STRUCTURE)
+    point = likelihood.evaluate(cases, STRUCTURE, VALUES, 1e5, identify.free_parameters(STRUCTURE))
+    ends = likelihood.profile_interval(cases, point, "backlash_gap", float("nan"), {})
+    assert ends == likelihood.bounds_of("backlash_gap")

@@ -4,8 +4,9 @@ Steady driving shows only the sum of dead-band and dry friction, and nothing of 
 reversal, the coast-downs and the plugging separate them (effects.md). So nothing is cut away. The way to the
 maximum: (1) gain, friction and dead-band with a filter that remembers a tenth of a second, where the likelihood
 is nearly quadratic in them; (2) gap, motor's share and friction's share from a grid, because every gap crossing
-is a kink of the likelihood in these; (3) compliant teeth, likewise; (4) everything together with the noise
-density that the recording asks for.
+is a kink of the likelihood in these; (3) everything together, compliant teeth included, with a filter that forgets
+at once and then with ones that remember longer, for as long as the recording bears it out; (4) the noise density that
+the recording asks for, and what lies along the known ridges of the likelihood.
 """
 
 from __future__ import annotations

@@ -528,6 +528,8 @@ def profile_interval(
     `powers` says how others go with the parameter along a ridge of the likelihood. Bounces of a light motor make
     valleys across it, and beyond the end that a profile finds others may be as deep: the interval holds these, too.
     """
+    if math.isnan(std):
+        return _BOUNDS[name]  # it leaves no trace, and may be anything
     here = point.values[name]
     others = tuple(n for n in point.free if n != name)
     plain = math.sqrt(max(float(point.covariance[(point.free.index(name),) * 2]), 1e-300))
