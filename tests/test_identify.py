@@ -48,6 +48,21 @@ def test_a_memory_that_grows_leads_from_another_gap_and_other_teeth_to_the_truth
     assert direct.deviance > point.deviance + 100.0
 
 
+def test_from_where_no_slope_leads_to_the_truth_breeding_does() -> None:
+    cases = identify.with_steps(identify.prepare([made(10000)], STRUCTURE), STRUCTURE)
+    free = identify.free_parameters(STRUCTURE)
+    apart = {"backlash_gap": 0.012, "motor_share": 0.75, "tooth_frequency": 120.0, "tooth_damping": 0.4}
+    astray = identify._lengthened(cases, STRUCTURE, VALUES | apart, free)
+    assert astray.values["backlash_gap"] < 0.5 * VALUES["backlash_gap"]
+    bred = identify._bred(cases, astray)
+    for i, one in enumerate(bred):
+        assert likelihood.within_bounds(one)
+        assert all(max(abs(np.log(one[n] / other[n])) for n in identify._RANGES) > 0.09 for other in bred[:i])
+    found = min((identify._lengthened(cases, STRUCTURE, v, free) for v in bred), key=lambda p: p.deviance)
+    assert found.deviance < astray.deviance - 100.0
+    assert found.values["backlash_gap"] == pytest.approx(VALUES["backlash_gap"], rel=0.05)
+
+
 def test_the_intervals_hold_the_truth_and_the_share_goes_with_the_gap() -> None:
     model = identify.identify([made(10000)], STRUCTURE)
     for name in (*identify.PROFILED, "motor_share"):

@@ -5,8 +5,9 @@ reversal, the coast-downs and the plugging separate them (effects.md). So nothin
 maximum: (1) gain, friction and dead-band with a filter that remembers a tenth of a second, where the likelihood
 is nearly quadratic in them; (2) gap, motor's share and friction's share from a grid, because every gap crossing
 is a kink of the likelihood in these; (3) everything together, compliant teeth included, with a filter that forgets
-at once and then with ones that remember longer, for as long as the recording bears it out; (4) the noise density that
-the recording asks for, and what lies along the known ridges of the likelihood.
+at once and then with ones that remember longer, for as long as the recording bears it out; where that ends in a rough
+place, the same from gaps, shares and teeth that are bred; (4) the noise density that the recording asks for, and what
+lies along the known ridges of the likelihood.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import differential_evolution
 
 from twin import likelihood, meetings
 from twin.axis import Structure
@@ -39,6 +41,15 @@ _GRID = {
     "friction_share": (0.4, 0.8),
 }
 _TEETH = {"tooth_frequency": (60.0, 90.0, 130.0, 190.0), "tooth_damping": (0.12, 0.2, 0.35, 0.5)}
+#: Between what gap, shares and teeth are bred where nothing else leads to them, with what memory of the filter, s, how
+#: many at a time and for how many generations; how far apart the best are that go on, as a ratio, and how many.
+_RANGES = {
+    "backlash_gap": (0.003, 0.15), "motor_share": (0.08, 0.7), "friction_share": (0.2, 1.0),
+    "tooth_frequency": (50.0, 250.0), "tooth_damping": (0.08, 0.7),
+}  # fmt: skip
+_LOOSE, _CROWD, _GENERATIONS, _APART, _CHOSEN = 0.01, 32, 9, 1.1, 3
+#: A unit of deviance is worth so little where the motor rattles, or physics is missing.
+_ROUGH = 1.3
 #: The shortest memory of the filter from which on it is lengthened, s, and how often it is at most.
 _BRIEF, _RUNGS = 0.007, 12
 #: Coarse values are looked for in so many parts of a recording, of so many seconds each: more would say no more of
@@ -189,6 +200,34 @@ def _lengthened(
     return min(points, key=lambda p: p.deviance)
 
 
+def _bred(cases: Sequence[Case], point: Point) -> list[dict[str, float]]:
+    """Values with likely gaps, shares and teeth, far from each other, by differential evolution (Storn and Price, J.
+    Global Optimization 11, 1997) at a short memory.
+
+    Where a motor rattles the slopes lead from everywhere into valleys nearby, but the deviance tells what is near the
+    truth from what is not; so many are tried, and the better ones mixed with each other.
+    """
+    names = [n for n in _RANGES if n in point.free]
+    if len(names) < 2:
+        return []
+    seen = with_steps(_glimpses(cases, point.structure), point.structure)
+    density = likelihood.density_of(seen[0], max(_LOOSE, likelihood.memory_of(seen[0], likelihood.densest(seen))))
+
+    def valued(x: NDArray[np.float64]) -> dict[str, float]:
+        return {**point.values, **dict(zip(names, np.exp(x).tolist(), strict=True))}
+
+    crowd = differential_evolution(
+        lambda x: np.array(likelihood.deviances(seen, point.structure, [valued(v) for v in x.T], density)),
+        np.log([_RANGES[n] for n in names]), maxiter=_GENERATIONS, popsize=_CROWD // len(names), init="sobol", rng=0,
+        polish=False, vectorized=True, updating="deferred", tol=0.0,
+    )  # fmt: skip
+    chosen: list[NDArray[np.float64]] = []
+    for one in crowd.population[np.argsort(crowd.population_energies)]:
+        if len(chosen) < _CHOSEN and all(np.abs(one - other).max() > math.log(_APART) for other in chosen):
+            chosen.append(one)
+    return [valued(x) for x in chosen]
+
+
 def likeliest_teeth(
     cases: Sequence[Case], structure: Structure, values: Mapping[str, float], density: float
 ) -> dict[str, float]:
@@ -202,9 +241,14 @@ def refine(cases: Sequence[Case], structure: Structure, begun: Sequence[Point], 
     """The maximum of the full likelihood from coarse points, teeth included where the structure has them."""
     mine = with_steps(cases, structure)
     free = tuple(n for n in free_parameters(structure) if n not in held)
-    with ThreadPoolExecutor(2) as pool:
-        found = pool.map(lambda p: _lengthened(mine, structure, completed(structure, p.values), free), begun)
-        best = min(found, key=lambda p: p.deviance)
+
+    def likeliest(starts: Iterable[dict[str, float]]) -> Point:
+        with ThreadPoolExecutor(2) as pool:
+            return min(pool.map(lambda v: _lengthened(mine, structure, v, free), starts), key=lambda p: p.deviance)
+
+    best = likeliest(completed(structure, p.values) for p in begun)
+    if best.unit > _ROUGH and (bred := _bred(mine, best)):
+        best = min(best, likeliest(bred), key=lambda p: p.deviance)
     return likelihood.fit(mine, structure, best.values, free, best.density)
 
 
