@@ -180,6 +180,11 @@ def start(
     return _choose_contacts(cases, rigid, points[0].values), points
 
 
+def _shortest(cases: Sequence[Case]) -> float:
+    """The memory of the filter from which on it is lengthened, s."""
+    return max(_BRIEF, *(likelihood.memory_of(c, likelihood.densest([c])) for c in cases))
+
+
 def _lengthened(
     cases: Sequence[Case], structure: Structure, values: Mapping[str, float], free: tuple[str, ...]
 ) -> Point:
@@ -189,7 +194,7 @@ def _lengthened(
     bounces and sees one wide valley of how hard motor and link meet; as it remembers more, this valley divides, and
     the climb stays in the part that it is in. Where the model is wrong, a short memory is the best that there is.
     """
-    shortest = max(_BRIEF, *(likelihood.memory_of(c, likelihood.densest([c])) for c in cases))
+    shortest = _shortest(cases)
     points: list[Point] = []
     for rung in range(_RUNGS):
         density = likelihood.density_of(cases[0], shortest * 2.0 ** (0.5 * rung))
@@ -247,7 +252,9 @@ def refine(cases: Sequence[Case], structure: Structure, begun: Sequence[Point], 
             return min(pool.map(lambda v: _lengthened(mine, structure, v, free), starts), key=lambda p: p.deviance)
 
     best = likeliest(completed(structure, p.values) for p in begun)
-    if best.unit > _ROUGH and (bred := _bred(mine, best)):
+    # Where the shortest memory is the best that there is, it is physics that is missing, not the right valley.
+    remembers = likelihood.memory_of(mine[0], best.density) > 1.1 * _shortest(mine)
+    if best.unit > _ROUGH and remembers and (bred := _bred(mine, best)):
         best = min(best, likeliest(bred), key=lambda p: p.deviance)
     return likelihood.fit(mine, structure, best.values, free, best.density)
 

@@ -582,7 +582,7 @@ def astray(cases: Sequence[Case], point: Point) -> bool:
 
     Such a likelihood is rough, and which of its many valleys is the deepest says little about the axis.
     """
-    return point.unit > ERRS and point.density > 0.7 * densest(cases)
+    return point.unit > ERRS and point.density > 0.5 * densest(cases)
 
 
 def best_density(
