@@ -75,7 +75,10 @@ def test_the_intervals_hold_the_truth_and_the_share_goes_with_the_gap() -> None:
 
 
 def test_a_parameter_without_a_trace_may_be_anything_within_its_bounds() -> None:
-    cases = identify.with_steps(identify.prepare([made(2000)], STRUCTURE), STRUCTURE)
-    point = likelihood.evaluate(cases, STRUCTURE, VALUES, 1e5, identify.free_parameters(STRUCTURE))
-    ends = likelihood.profile_interval(cases, point, "backlash_gap", float("nan"), {})
-    assert ends == likelihood.bounds_of("backlash_gap")
+    time, duty = 0.002 * np.arange(3000), np.repeat([20.0, 35.0, 50.0, 30.0, 45.0, 25.0], 500)
+    read = COUNT * np.round(run(STRUCTURE, VALUES, time, duty)[0] / COUNT)
+    model = identify.identify([Recording("one way", time, duty, read, "%", "rad", COUNT)], STRUCTURE)
+    assert model.intervals["dead_band_reverse"] == likelihood.bounds_of("dead_band_reverse")
+    low, high = model.intervals["dead_band_forward"]
+    assert low <= VALUES["dead_band_forward"] <= high < low + 0.1
+    assert not np.any(np.isnan(list(model.intervals.values())))

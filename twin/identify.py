@@ -497,7 +497,7 @@ def _intervals(cases: Sequence[Case], point: Point, model: Model) -> dict[str, t
             lambda n: likelihood.profile_interval(cases, point, n, model.std(n), powers.get(n, {})), names
         )
         found = dict(zip(names, ends, strict=True))
-    if {"backlash_gap", "motor_share"} <= set(point.free):
+    if {"backlash_gap", "motor_share"} <= set(point.free) and math.isfinite(model.std("motor_share")):
         # Along the ridge the motor's share goes with the gap, and so it is no better known.
         share, wide = point.values["motor_share"], 1.96 * model.std("motor_share")
         lighter, heavier = (share * point.values["backlash_gap"] / max(g, 1e-9) for g in found["backlash_gap"][::-1])

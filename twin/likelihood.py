@@ -528,7 +528,7 @@ def profile_interval(
     `powers` says how others go with the parameter along a ridge of the likelihood. Bounces of a light motor make
     valleys across it, and beyond the end that a profile finds others may be as deep: the interval holds these, too.
     """
-    if math.isnan(std):
+    if not math.isfinite(std):
         return _BOUNDS[name]  # it leaves no trace, and may be anything
     here = point.values[name]
     others = tuple(n for n in point.free if n != name)
