@@ -31,7 +31,7 @@ def test_a_long_recording_is_looked_at_in_parts_from_its_beginning_to_its_end() 
     first, last, output = parts[0].recording.output, parts[-1].recording.output, whole[0].recording.output
     np.testing.assert_array_equal(first, output[: len(first)])
     np.testing.assert_array_equal(last, output[-len(last) :])
-    short = identify.prepare([made(10000)], STRUCTURE)
+    short = identify.prepare([made(7000)], STRUCTURE)
     assert identify._glimpses(short, STRUCTURE) == short
 
 
@@ -49,7 +49,7 @@ def test_a_memory_that_grows_leads_from_another_gap_and_other_teeth_to_the_truth
 
 
 def test_from_where_no_slope_leads_to_the_truth_breeding_does() -> None:
-    cases = identify.with_steps(identify.prepare([made(10000)], STRUCTURE), STRUCTURE)
+    cases = identify.with_steps(identify.prepare([made(7000)], STRUCTURE), STRUCTURE)
     free = identify.free_parameters(STRUCTURE)
     apart = {"backlash_gap": 0.012, "motor_share": 0.75, "tooth_frequency": 120.0, "tooth_damping": 0.4}
     astray = identify._lengthened(cases, STRUCTURE, VALUES | apart, free)
@@ -64,7 +64,7 @@ def test_from_where_no_slope_leads_to_the_truth_breeding_does() -> None:
 
 
 def test_the_intervals_hold_the_truth_and_the_share_goes_with_the_gap() -> None:
-    model = identify.identify([made(10000)], STRUCTURE)
+    model = identify.identify([made(7000)], STRUCTURE)
     for name in (*identify.PROFILED, "motor_share"):
         low, high = model.intervals[name]
         assert low < model.values[name] < high
@@ -75,7 +75,7 @@ def test_the_intervals_hold_the_truth_and_the_share_goes_with_the_gap() -> None:
 
 
 def test_a_parameter_without_a_trace_may_be_anything_within_its_bounds() -> None:
-    time, duty = 0.002 * np.arange(3000), np.repeat([20.0, 35.0, 50.0, 30.0, 45.0, 25.0], 500)
+    time, duty = 0.002 * np.arange(1800), np.repeat([20.0, 35.0, 50.0, 30.0, 45.0, 25.0], 300)
     read = COUNT * np.round(run(STRUCTURE, VALUES, time, duty)[0] / COUNT)
     model = identify.identify([Recording("one way", time, duty, read, "%", "rad", COUNT)], STRUCTURE)
     assert model.intervals["dead_band_reverse"] == likelihood.bounds_of("dead_band_reverse")
