@@ -106,6 +106,13 @@ def prepare(recordings: Sequence[Recording], structure: Structure, closed: bool 
     return [replace(c, reading_variance=least) for c in cases]
 
 
+def _part(case: Case, structure: Structure, begin: float, end: float) -> Case:
+    """What was recorded between two moments (s), read by the same sensor."""
+    return replace(
+        likelihood.prepare(case.recording.part(begin, end), structure), reading_variance=case.reading_variance
+    )
+
+
 def _glimpses(cases: Sequence[Case], structure: Structure) -> list[Case]:
     """Parts of the recordings, spread evenly, in which coarse values are looked for; a short recording is one part."""
     parts = []
@@ -114,9 +121,8 @@ def _glimpses(cases: Sequence[Case], structure: Structure) -> list[Case]:
         if end <= _PARTS * _LASTING:
             parts.append(case)
             continue
-        for begin in np.linspace(0.0, end - _LASTING, _PARTS).tolist():
-            part = likelihood.prepare(case.recording.part(begin, begin + _LASTING), structure)
-            parts.append(replace(part, reading_variance=case.reading_variance))
+        begins = np.linspace(0.0, end - _LASTING, _PARTS).tolist()
+        parts += [_part(case, structure, begin, begin + _LASTING) for begin in begins]
     return parts
 
 
@@ -126,8 +132,7 @@ def _choose_contacts(cases: Sequence[Case], structure: Structure, values: Mappin
         return list(cases)
     chosen = []
     for case in cases:
-        head = case.recording.part(0.0, min(3.0, float(case.recording.time[-1])))
-        trial = replace(likelihood.prepare(head, structure), reading_variance=case.reading_variance)
+        trial = _part(case, structure, 0.0, min(3.0, float(case.recording.time[-1])))
         density = likelihood.density_of(trial, MEMORIES[0])
         scored = [
             (likelihood.evaluate([replace(trial, contact=s)], structure, values, density).deviance, s)
@@ -215,7 +220,7 @@ def _bred(cases: Sequence[Case], point: Point) -> list[dict[str, float]]:
     names = [n for n in _RANGES if n in point.free]
     if len(names) < 2:
         return []
-    seen = with_steps(_glimpses(cases, point.structure), point.structure)
+    seen = _glimpses(cases, point.structure)
     density = likelihood.density_of(seen[0], max(_LOOSE, likelihood.memory_of(seen[0], likelihood.densest(seen))))
 
     def valued(x: NDArray[np.float64]) -> dict[str, float]:

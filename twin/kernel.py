@@ -288,11 +288,3 @@ def predict_with_slopes(
 def known_vector(known: Mapping[str, float]) -> FloatArray:
     """The recording's known quantities in the kernel's order; absent ones are zero."""
     return np.array([float(known.get(name, 0.0)) for name in KNOWN])
-
-
-def gather(
-    error: FloatArray, variance: FloatArray, limit: float, stretch: NDArray[np.intp], slopes: FloatArray,
-    pulls: FloatArray, weights: FloatArray, read: NDArray[np.intp],
-) -> None:  # fmt: skip
-    """As `drivers.gathering`, compiled."""
-    compiled().gathering(error, variance, limit, stretch, slopes, pulls, weights, read)

@@ -231,12 +231,10 @@ def noise_for(case: Case, density: float) -> Noise:
     return Noise(density, 1.0, 1.0 if case.drive.speed else velocity / case.reading_variance)
 
 
-def _loss(z2: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Huber's loss of squared normalised innovations, and the weights of its quadratic majorant."""
+def _loss(z2: FloatArray) -> FloatArray:
+    """Huber's loss of squared normalised innovations."""
     z = np.sqrt(z2)
-    far = z > ROBUST_LIMIT
-    loss = np.where(far, ROBUST_LIMIT * (2.0 * z - ROBUST_LIMIT), z2)
-    return loss, np.where(far, ROBUST_LIMIT / np.maximum(z, 1e-300), 1.0)
+    return np.where(z > ROBUST_LIMIT, ROBUST_LIMIT * (2.0 * z - ROBUST_LIMIT), z2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -340,7 +338,7 @@ def evaluate(
     if not np.all(np.isfinite(joined)) or count == 0:
         return lost
     scale = _scale_of(joined)
-    loss = sum(float(_loss(joined[i : i + AT_ONCE] / scale)[0].sum()) for i in range(0, count, AT_ONCE))
+    loss = sum(float(_loss(joined[i : i + AT_ONCE] / scale).sum()) for i in range(0, count, AT_ONCE))
     deviance = loss + logs + count * math.log(scale)
     pulls, weights = _by_stretch(cases, structure, values, density, free, scale, None if long else results, stretch)
     normal, gradient, scatter = weights.sum(axis=0), pulls.sum(axis=0), pulls.T @ pulls
@@ -360,20 +358,21 @@ def _by_stretch(
 
     Without results the recordings are run again, piece by piece.
     """
+    n = len(free)
+    if not n:
+        return np.zeros((0, 0)), np.zeros((0, 0, 0))
     blocks, count = [], 0
     for case in cases:
         blocks.append(count + (case.drive.time / stretch).astype(np.intp))
         count = int(blocks[-1][-1]) + 1
-    n = len(free)
-    if not n:
-        return np.zeros((0, 0)), np.zeros((0, 0, 0))
     pulls, weights, read = np.zeros((count, n)), np.zeros((count, n, n)), np.zeros(count, dtype=np.intp)
+    gather = kernel.compiled().gathering
     for i, (case, block) in enumerate(zip(cases, blocks, strict=True)):
         begin = 0
         runs = pieces(case, structure, values, density, free, AT_ONCE) if results is None else iter([results[i]])
         for r in runs:
             at = block[begin : begin + len(r.error)]
-            kernel.gather(r.error, r.variance * scale, ROBUST_LIMIT, at, r.slopes, pulls, weights, read)
+            gather(r.error, r.variance * scale, ROBUST_LIMIT, at, r.slopes, pulls, weights, read)
             begin += len(r.error)
     lower = np.tril(weights[read > 0])
     return pulls[read > 0], lower + np.tril(lower, -1).transpose(0, 2, 1)
@@ -532,7 +531,8 @@ def profile_interval(
         return _BOUNDS[name]  # it leaves no trace, and may be anything
     here = point.values[name]
     others = tuple(n for n in point.free if n != name)
-    plain = math.sqrt(max(float(point.covariance[(point.free.index(name),) * 2]), 1e-300))
+    i = point.free.index(name)
+    plain = math.sqrt(max(float(point.covariance[i, i]), 1e-300))
     wanted = _CHI2_95 * (std / plain) ** 2
     passes = PASSES if point.unit < ERRS else 0
 
