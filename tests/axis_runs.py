@@ -6,6 +6,7 @@ import numpy as np
 
 from twin import kernel
 from twin.axis import Structure
+from twin.effects import unknown_gain, waves
 from twin.effects.catalogue import EFFECTS, UNKNOWN
 
 #: Sizes that a small geared axis may have (duty in percent, angles in rad).
@@ -71,6 +72,9 @@ SANE: dict[str, tuple[float, float]] = {
     "unknown_time_from": (-0.2, 0.0),
     "unknown_time_span": (0.3, 1.0),
     "unknown_angle_order": (0.5, 4.0),
+    **dict.fromkeys(waves.names("unknown_gain", unknown_gain.HARMONICS), (-0.1, 0.1)),
+    "unknown_gain_order": (0.5, 4.0),
+    "unknown_push_order": (0.5, 4.0),
 }
 
 PAYLOAD = {"payload": 0.004, "moment": 0.02}

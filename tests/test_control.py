@@ -32,7 +32,8 @@ def axis(*effects: str, **values: float) -> Model:
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_every_effect_gets_a_controller_with_margins_and_a_file(effect: str) -> None:
     model = axis(effect)
-    present = {p.name: min(p.start or 0.3, p.upper, 0.5) for p in EFFECTS[effect].parameters if p.neutral == 0.0}
+    pages = EFFECTS[effect].parameters
+    present = {p.name: min(p.start or 0.6 / len(pages), p.upper, 0.5) for p in pages if p.neutral == 0.0}
     made = design(model.with_values(present))
     assert made.margins.phase > math.radians(25)
     assert made.margins.delay > 2 * made.sample_time
@@ -45,8 +46,8 @@ def test_drive_is_inverted_whatever_it_holds() -> None:
     made = design(axis("supply_sag", "drive_saturation", "thermal_fade", supply_sag=0.002, fade=0.2))
     law, p = made.laws, made.parameter_list
     for target in np.linspace(-40, 40, 23):
-        command = law.answer(target, 3.0, 0.5, 100.0, p)
-        assert law.drive(command, 3.0, 0.5, p) == pytest.approx(target, abs=1e-6)
+        command = law.answer(target, 3.0, 0.5, 0.0, 100.0, p)
+        assert law.drive(command, 3.0, 0.5, 0.0, p) == pytest.approx(target, abs=1e-6)
 
 
 @given(target=st.floats(-200, 200), emf=st.floats(-50, 50), sag=st.floats(0, 0.02), band=st.floats(0, 30))
@@ -56,11 +57,11 @@ def test_no_command_comes_closer_than_the_answer(target: float, emf: float, sag:
     law = sampled.functions(structure)
     given = {"input_gain": 1.0, "supply_sag": sag, "dead_band_forward": band, "dead_band_reverse": 0.5 * band}
     p = [given.get(q.name, q.start) for q in structure.parameters]
-    command = law.answer(target, emf, 0.0, 100.0, p)
+    command = law.answer(target, emf, 0.0, 0.0, 100.0, p)
     assert abs(command) <= 100.0
     # It searches on the side of the target, as a drive never passes on the other sign.
-    tried = [abs(law.drive(u, emf, 0.0, p) - target) for u in np.linspace(0, math.copysign(100, target), 401)]
-    assert abs(law.drive(command, emf, 0.0, p) - target) <= min(tried) + 0.02 * abs(target) + 1e-9
+    tried = [abs(law.drive(u, emf, 0.0, 0.0, p) - target) for u in np.linspace(0, math.copysign(100, target), 401)]
+    assert abs(law.drive(command, emf, 0.0, 0.0, p) - target) <= min(tried) + 0.02 * abs(target) + 1e-9
 
 
 def test_blur_is_continuous_over_the_dead_band() -> None:
@@ -68,7 +69,7 @@ def test_blur_is_continuous_over_the_dead_band() -> None:
     law, p, g = made.laws, made.parameter_list, made.settings_list
     blur = made.settings["blur"]
     targets = np.linspace(-2 * blur, 2 * blur, 401)
-    commands = np.array([law.invert(t, 0.0, 0.0, p, g) for t in targets])
+    commands = np.array([law.invert(t, 0.0, 0.0, 0.0, p, g) for t in targets])
     slope = (10.0 + 2 * blur) / (2 * blur)  # both sides of the band over the blur's width
     assert np.all(np.diff(commands) > 0)
     assert np.max(np.diff(commands)) < 1.01 * slope * (targets[1] - targets[0])

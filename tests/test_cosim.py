@@ -101,6 +101,8 @@ MORE = {
         **{f"unknown_position_{i:02d}": 3.0 * math.sin(i) for i in range(1, 13)},
     },
     "unknown_angle": {"unknown_angle_sin_1": 2.0, "unknown_angle_cos_3": 1.0},
+    "unknown_gain": {"unknown_gain_sin_1": 0.3, "unknown_gain_cos_3": 0.2},
+    "unknown_push": {"unknown_push_forward_sin_1": 8.0, "unknown_push_reverse_cos_2": 5.0},
     "unknown_velocity": {
         "unknown_velocity_from": -4.0, "unknown_velocity_span": 8.0,
         **{f"unknown_velocity_{i:02d}": 2.0 * math.sin(i) for i in range(1, 13)},

@@ -179,7 +179,7 @@ RETURNS = {"drive": "{u}", "load": "{x}/s^2", "drag": "{x}/s^2", "grip": "{x}/s^
 #: Numbers in laws that are quantities: standard gravity (inertia being torque per rad/s^2) and a turn.
 LITERALS = {9.80665: "{x}*m/s^2", 6.283185307179586: "rad"}
 #: Laws of the angle itself, which have no counterpart on a linear axis.
-ROTARY = {"unknown_angle", "gravity", "payload_gravity", "encoder_eccentricity", "position_dependent_friction"}
+ROTARY = {"gravity", "payload_gravity", "encoder_eccentricity", "position_dependent_friction"}
 
 
 def dimension(unit: str, axis: str) -> Counter:

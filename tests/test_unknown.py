@@ -15,6 +15,7 @@ from twin.effects.catalogue import CANDIDATES, UNKNOWN
 from twin.effects.knots import KNOTS, line, names
 from twin.likelihood import Case, Point
 from twin.recording import Recording
+from twin.unknown import Term
 
 STRUCTURE = Structure.of(("inertia", "viscous_friction", "dead_band"))
 FREE = ("input_gain", "viscous_friction", "dead_band_forward", "dead_band_reverse")
@@ -59,6 +60,8 @@ CASES = {
     "bump": lambda: recorded(3, ("unknown_position",), **PLANTED),
     "drag": lambda: recorded(4, ("quadratic_drag",), quadratic_drag=0.1),
     "cogging": lambda: recorded(6, ("unknown_angle",), unknown_angle_order=7.0, unknown_angle_sin_1=1.5),
+    "gain": lambda: recorded(7, ("unknown_gain",), unknown_gain_sin_1=0.2),
+    "push": lambda: recorded(8, ("unknown_push",), unknown_push_order=3.0, unknown_push_forward_cos_1=4.0),
     "nothing": lambda: recorded(5),
 }
 
@@ -132,7 +135,7 @@ def test_missing_drag_shows_over_velocity():
     assert before.share > 0.2
     assert before.p_value < 1e-2
     assert "velocity" in before.variables
-    assert unknown.which_variables(before)[0] == "velocity"
+    assert unknown.which_terms(before)[0] == Term("velocity")
 
 
 def test_bump_over_position_is_found_and_drawn():
@@ -141,7 +144,7 @@ def test_bump_over_position_is_found_and_drawn():
     assert before.share > 0.3
     assert before.p_value < 1e-2
     assert "position" in before.variables
-    found = unknown.fit_unknown([case], base, "position")
+    found = unknown.fit_unknown([case], base, Term("position"))
     assert found.deviance < base.deviance - 200.0
     first, span = found.values["unknown_position_from"], found.values["unknown_position_span"]
     at = np.linspace(first, first + span, KNOTS)
@@ -173,8 +176,8 @@ def test_a_wave_that_only_one_direction_of_push_knows_is_found():
 def test_a_wave_is_drawn_with_its_order():
     case, base = fitted("cogging")
     before = unknown.leftover(case, base.structure, base.values)
-    assert unknown.which_variables(before)[0] == "wave 7"
-    found = unknown.fit_unknown([case], base, "wave 7")
+    assert unknown.which_terms(before)[0] == Term("angle", 7.0)
+    found = unknown.fit_unknown([case], base, Term("angle", 7.0))
     assert found.values["unknown_angle_order"] == 7.0
     assert found.values["unknown_angle_sin_1"] == pytest.approx(1.5, abs=0.15)
     others = [v for n, v in found.values.items() if n.startswith("unknown_angle_") and n[-1] in "23456"]
@@ -195,16 +198,37 @@ def test_verdicts():
     assert unknown.verdict(False, much, much) == "unexplained"
 
 
-def test_unknown_variable_is_refused():
-    case, point = fitted("nothing")
+def test_unknown_kind_is_refused():
     with pytest.raises(ValueError, match="no term over"):
-        unknown.fit_unknown([case], point, "moonlight")
+        Term("moonlight")
+
+
+@pytest.mark.parametrize(
+    ("key", "term", "name", "size"),
+    [("gain", Term("gain"), "unknown_gain_sin_1", 0.2), ("push", Term("push", 3.0), "unknown_push_forward_cos_1", 4.0)],
+)
+def test_what_multiplies_the_command_is_found_and_drawn(key, term, name, size):
+    case, base = fitted(key)
+    before = unknown.leftover(case, base.structure, base.values)
+    assert unknown.is_left(before)
+    assert before.variables == ("position", "input")
+    assert term in unknown.which_terms(before)
+    found = unknown.fit_unknown([case], base, term)
+    assert found.values[name] == pytest.approx(size, rel=0.1)
+    nothing = set(found.free) - {name, *base.free}
+    others = [found.values[n] for n in nothing]
+    assert max(abs(v) for v in others) < 0.2 * size
+    assert found.deviance < min(
+        unknown.fit_unknown([case], base, other).deviance for other in (Term("angle", term.order), Term("position"))
+    )
+    after = unknown.leftover(case, found.structure, found.values)
+    assert after.size < 0.4 * before.size
 
 
 def test_a_first_model_that_the_command_does_not_move_still_gets_a_term():
     """A fit without the right physics may end at a gain of zero, where a torque is no command."""
     rng = np.random.default_rng(5)
     means = {"input": rng.uniform(-50.0, 50.0, 400), "torque": rng.standard_normal(400)}
-    start, free = unknown._first_line(means, "input", {"input_gain": 0.0})
+    start, free = unknown._first_line(means, Term("input"), {"input_gain": 0.0})
     assert free
     assert all(np.isfinite(value) for value in start.values())

@@ -273,6 +273,10 @@ def piece(x, p, k, command, h):
     varies = 0
     if has.supply_sag:
         varies = 1
+    if has.unknown_gain:
+        varies = 1
+    if has.unknown_push:
+        varies = 1
     warm = 0.0
     if has.thermal_fade:
         varies = 1
@@ -309,7 +313,7 @@ def piece(x, p, k, command, h):
             emf = 0.0
             if has.supply_sag:
                 emf = p.viscous_friction * speed_m / p.input_gain
-            acting = drive(command, emf, heat, p)
+            acting = drive(command, emf, heat, place + twist, p)
         mean = acting
         if has.motor_lag:
             # The mean over the first half predicts the middle; the mean over the whole moves the axis.

@@ -28,6 +28,7 @@ CALM_ELASTIC = 0.12  # the same for compliant teeth, which throw the link back: 
 FULL_DRIVE = {"%": 100.0}
 SPREAD_OF_NOISE = 0.03  # share of the limit that noise may take of the command
 SENSITIVE = 2.0  # largest sensitivity of a loop designed without an asked bandwidth
+_TURN = np.linspace(0.0, 2.0 * math.pi, 25).tolist()  # places at one of which the motor is about at its weakest
 
 
 def _cancelled(model: Model) -> Structure:
@@ -145,7 +146,7 @@ def _reach(controller: Controller) -> tuple[float, float]:
     total = 1.0 + law.mass(0.0, k[0], p)
 
     def spare(speed: float, side: float) -> float:
-        acts = side * law.drive(side * limit, side * damping * speed / gain, 0.0, p)
+        acts = min(side * law.drive(side * limit, side * damping * speed / gain, 0.0, x, p) for x in _TURN)
         return float(
             gain * acts
             + side * law.drag(0.0, side * speed, p)

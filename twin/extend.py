@@ -375,7 +375,7 @@ def _undecided(found: Search) -> tuple[Undecided, ...]:
 
 def _nameless(found: Search, left: unknown.Leftover) -> Point:
     """The first model with the term of no known shape that serves it best."""
-    tried = [unknown.fit_unknown(found.cases, found.first, v) for v in unknown.which_variables(left)]
+    tried = [unknown.fit_unknown(found.cases, found.first, t) for t in unknown.which_terms(left)]
     return min(tried, key=lambda p: p.deviance, default=found.first)
 
 

@@ -208,7 +208,7 @@ def check(reference: Reference, controller: Controller) -> None:
         if speed != 0.0:
             need += side * law.grip(place, speed, side, 0.5 * need, p)
         way = 1.0 if need > 0.0 else -1.0
-        most = way * v["input_gain"] * law.drive(way * g["limit"], damping * speed / v["input_gain"], 0.0, p)
+        most = way * v["input_gain"] * law.drive(way * g["limit"], damping * speed / v["input_gain"], 0.0, place, p)
         share = abs(need) / most if most > 0.0 else math.inf
         if share > worst:
             worst, at = share, i

@@ -54,7 +54,7 @@ SETTINGS: dict[str, tuple[str, str]] = {
 }
 
 
-def answer(target, emf, heat, limit, p):
+def answer(target, emf, heat, place, limit, p):
     """The smallest command at which the drive passes on `target`, or the one that comes closest to it."""
     side = 1.0
     if target < 0.0:
@@ -67,7 +67,7 @@ def answer(target, emf, heat, limit, p):
     # In parts, because a sagging supply makes a drive that passes on less where more is commanded.
     for i in range(16):
         high = limit * (i + 1.0) / 16.0
-        got = side * drive(side * high, emf, heat, p)
+        got = side * drive(side * high, emf, heat, place, p)
         if got > most:
             most = got
             peak = high
@@ -81,20 +81,20 @@ def answer(target, emf, heat, limit, p):
     else:
         for _ in range(36):
             middle = 0.5 * (low + high)
-            if side * drive(side * middle, emf, heat, p) >= wanted:
+            if side * drive(side * middle, emf, heat, place, p) >= wanted:
                 high = middle
             else:
                 low = middle
     return side * high
 
 
-def invert(target, emf, heat, p, g):
+def invert(target, emf, heat, place, p, g):
     """The command for an effective command; through zero a straight line, so that noise does not jump a dead-band."""
     if target > g.blur or target < -g.blur:
-        command = answer(target, emf, heat, g.limit, p)
+        command = answer(target, emf, heat, place, g.limit, p)
     else:
-        upper = answer(g.blur, emf, heat, g.limit, p)
-        lower = answer(-g.blur, emf, heat, g.limit, p)
+        upper = answer(g.blur, emf, heat, place, g.limit, p)
+        lower = answer(-g.blur, emf, heat, place, g.limit, p)
         command = lower + (target + g.blur) * (upper - lower) / (2.0 * g.blur)
     return command
 
@@ -223,7 +223,7 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
     if away < 0.0:
         side = -1.0
     held = grip(y.position, 0.0, side, 0.0, p)
-    most = -side * p.input_gain * drive(-side * g.limit, 0.0, y.heat, p)
+    most = -side * p.input_gain * drive(-side * g.limit, 0.0, y.heat, y.position + y.gap, p)
     spare = g.braking * (most - side * pull + held) / total + side * rise
     least = 0.05 * most / total
     if spare < least:
@@ -262,7 +262,7 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
         later = load(y.position + moved * y.velocity, y.velocity + moved * current, y.time, k.moment, p)
         later = later + drag(y.position + moved * y.velocity, y.velocity + moved * current, p)
         torque = p.input_gain * y.lag + total * jump - p.lag_time * (later - pull - resist) / moved
-    command = clip(invert(torque / p.input_gain, emf, y.heat, p, g), g.limit)
+    command = clip(invert(torque / p.input_gain, emf, y.heat, y.position + y.gap, p, g), g.limit)
 
     for j in range(len(q) - 1):
         q[len(q) - 1 - j] = q[len(q) - 2 - j]

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from twin import identify, likelihood, locate
 from twin.axis import Structure
+from twin.effects import unknown_angle, unknown_gain, unknown_push, waves
 from twin.effects.knots import KNOTS, names
-from twin.effects.unknown_angle import HARMONICS
 from twin.likelihood import Case, Point
 from twin.locate import Missing
 
@@ -256,10 +256,35 @@ def verdict(named: bool, before: Leftover, after: Leftover) -> str:
 
 # ---- the term ----
 
+
+@dataclass(frozen=True)
+class Term:
+    """A shape that no page describes: one of `TERMS`, and how often a turn it repeats where it is made of waves.
+
+    Raises ValueError for another kind.
+    """
+
+    kind: str
+    order: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.kind not in TERMS:
+            raise ValueError(f"no term over {self.kind!r}: there are {', '.join(TERMS)}")
+
+
 #: What a term over a variable makes superfluous: it holds any straight line itself.
 _HELD = {"velocity": "viscous_friction", "input": "input_gain"}
-#: Variables that a term may be drawn over; each is the effect unknown_<variable>.
-TERMS = ("position", "angle", "velocity", "input", "time")
+#: Kinds of term, by what they are drawn over; each is the effect unknown_<kind>. A gain is one of the motor over its
+#: angle, a push a torque over the angle that differs with the command's sign.
+TERMS = ("position", "angle", "velocity", "input", "time", "gain", "push")
+#: Those of waves over the angle, and what these are called.
+_WAVES: Mapping[str, tuple[tuple[str, int], ...]] = {
+    "angle": (("unknown_angle", unknown_angle.HARMONICS),),
+    "gain": (("unknown_gain", unknown_gain.HARMONICS),),
+    "push": (("unknown_push_forward", unknown_push.HARMONICS), ("unknown_push_reverse", unknown_push.HARMONICS)),
+}
+#: So many travels make a wave's turn where the axis does not turn: what it is at one end it need not be at the other.
+_ROOM = 1.5
 #: Time that a knot must have seen, as a share of what it would have if all had the same.
 _SEEN = 0.05
 
@@ -282,22 +307,33 @@ def _smooth(columns: FloatArray, torque: FloatArray, weight: float = 3.0) -> Flo
     return heights
 
 
-def _first_angle(means: Mapping[str, FloatArray], order: float) -> tuple[dict[str, float], tuple[str, ...]]:
-    waves = [
-        (f"unknown_angle_{n}_{k}", f(k * order * means["position"]))
-        for k in range(1, HARMONICS + 1)
-        for n, f in (("sin", np.sin), ("cos", np.cos))
-    ]
-    columns = np.column_stack([w for _, w in waves])
-    gains = np.linalg.lstsq(columns, _clipped(means["torque"]), rcond=None)[0]
-    free = tuple(n for n, _ in waves)
-    return {**dict(zip(free, map(float, gains), strict=True)), "unknown_angle_order": order}, free
+def _first_waves(
+    means: Mapping[str, FloatArray], term: Term, values: Mapping[str, float]
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Values of the parameters of a term of waves to start from, and which of them are fitted."""
+    travel = float(np.ptp(means["position"]))
+    order = term.order if travel > _TURN else _TURN / (_ROOM * travel)
+    phase, gain = order * means["position"], values["input_gain"]
+    u = means["input"]
+    ahead, behind = values.get("dead_band_forward", 0.0), values.get("dead_band_reverse", 0.0)
+    over, under = u > ahead, u < -behind
+    acting = np.where(over, u - ahead, np.where(under, u + behind, 0.0))
+    weights = {"angle": (np.ones(len(u)),), "gain": (gain * acting,), "push": (gain * over, gain * under)}[term.kind]
+    free: list[str] = []
+    columns = []
+    for weight, (prefix, count) in zip(weights, _WAVES[term.kind], strict=True):
+        free += waves.names(prefix, count)
+        columns += [weight * f(k * phase) for k in range(1, count + 1) for f in (np.sin, np.cos)]
+    sizes = np.linalg.lstsq(np.column_stack(columns), _clipped(means["torque"]), rcond=None)[0]
+    start = dict(zip(free, map(float, sizes), strict=True))
+    return {**start, f"unknown_{term.kind}_order": order}, tuple(free)
 
 
 def _first_line(
-    means: Mapping[str, FloatArray], variable: str, values: Mapping[str, float]
+    means: Mapping[str, FloatArray], term: Term, values: Mapping[str, float]
 ) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Values of the term's parameters to start from, and the knots that have seen enough to be fitted."""
+    """Values of the parameters of a term of lines to start from, and the knots that have seen enough to be fitted."""
+    variable = term.kind
     prefix = f"unknown_{variable}"
     x = means[variable]
     low, high = (float(q) for q in np.quantile(x, (0.0, 1.0) if variable in ("time", "input") else (0.005, 0.995)))
@@ -321,28 +357,20 @@ def _bridged(values: Mapping[str, float], prefix: str, free: Sequence[str]) -> d
     return {**values, **{n: float(v) for n, v in zip(knots, level, strict=True)}}
 
 
-def fit_unknown(cases: Sequence[Case], base: Point, variable: str, held: Sequence[str] = ()) -> Point:
-    """The base model and a term of no known shape over one of `TERMS`, fitted together at the base's noise density.
-
-    "wave N" is a term over the angle that repeats N times a turn. Raises ValueError for another variable.
-    """
-    wave = re.fullmatch("wave ([0-9]+)", variable)
-    variable = "angle" if wave else variable
-    if variable not in TERMS:
-        raise ValueError(f"no term over {variable!r}: there are {', '.join(TERMS)}")
-    structure = base.structure.with_(f"unknown_{variable}")
+def fit_unknown(cases: Sequence[Case], base: Point, term: Term, held: Sequence[str] = ()) -> Point:
+    """The base model and a term of no known shape, fitted together at the base's noise density."""
+    kind = term.kind
+    structure = base.structure.with_(f"unknown_{kind}")
     mine = identify.with_steps(cases, structure)
     parts = [_averages(locate.missing_torque(c, base.structure, base.values)) for c in mine]
     means = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
-    if variable == "angle":
-        start, free = _first_angle(means, float(wave[1]) if wave else 1.0)
-    else:
-        start, free = _first_line(means, variable, base.values)
-    kept = tuple(n for n in base.free if n not in held and n != _HELD.get(variable))
+    first = _first_waves if kind in _WAVES else _first_line
+    start, free = first(means, term, base.values)
+    kept = tuple(n for n in base.free if n not in held and n != _HELD.get(kind))
     values = {**base.values, **start}
-    if variable == "angle":
+    if kind in _WAVES:
         return likelihood.climb(mine, structure, values, base.density, (*kept, *free))
-    prefix = f"unknown_{variable}"
+    prefix = f"unknown_{kind}"
     rough = likelihood.climb(
         mine, structure, _bridged(values, prefix, free), base.density, (*kept, *free), rounds=5, tolerance=1.0
     )
@@ -350,13 +378,19 @@ def fit_unknown(cases: Sequence[Case], base: Point, variable: str, held: Sequenc
     return likelihood.climb(mine, structure, values, base.density, (*kept, *free))
 
 
-def which_variables(found: Leftover, most: int = 2) -> list[str]:
-    """The terms worth fitting, the most telling first: those of `fit_unknown`, with a share near the best."""
-    known = {"direction": "velocity", "since reversal": "position", "acceleration": "input"}
-    out: list[str] = []
-    for d in found.dependences:
-        first = d.table.split(", ")[0]
-        term = known.get(first, first)
-        if d.share > 0.3 * found.share and (term in TERMS or term.startswith("wave ")) and term not in out:
-            out.append(term)
-    return out[:most]
+def term_for(table: str) -> Term:
+    """The term that can draw what a table shows."""
+    wave = re.fullmatch("wave ([0-9]+)(, push)?", table)
+    if wave:
+        return Term("push" if wave[2] else "angle", float(wave[1]))
+    drawn = {
+        "direction": "velocity", "since reversal": "position", "acceleration": "input", "angle, push": "push",
+        "angle, input": "gain", "position, input": "gain",
+    }  # fmt: skip
+    return Term(drawn.get(table, table.split(", ")[0]))
+
+
+def which_terms(found: Leftover, most: int = 2) -> list[Term]:
+    """The terms worth fitting, the most telling first, with a share near the best."""
+    telling = (d for d in found.dependences if d.share > 0.3 * found.share)
+    return list(dict.fromkeys(term_for(d.table) for d in telling))[:most]

@@ -32,16 +32,18 @@ from twin.effects import (
     tooth_compliance,
     torque_ripple,
     unknown_angle,
+    unknown_gain,
     unknown_input,
     unknown_position,
+    unknown_push,
     unknown_time,
     unknown_velocity,
     viscous_friction,
 )
 from twin.effects.effect import Effect
 
-#: Every effect by id. Drive laws apply in this order: the command is faded, sags, is clipped, bent, then
-#: loses its dead-band.
+#: Every effect by id. Drive laws apply in this order: the command is faded, sags, is clipped, bent,
+#: loses its dead-band, and then is what the motor makes of it at its angle.
 EFFECTS: Mapping[str, Effect] = {
     page.EFFECT.id: page.EFFECT
     for page in (
@@ -52,6 +54,8 @@ EFFECTS: Mapping[str, Effect] = {
         drive_saturation,
         unknown_input,
         dead_band,
+        unknown_gain,
+        unknown_push,
         backlash,
         tooth_compliance,
         payload,

@@ -17,7 +17,8 @@ Law = Callable[[Any, Any], Any]
 
 #: Where a law is called by the stepper, what it may read and what it returns.
 SLOTS: Mapping[str, tuple[tuple[str, ...], str]] = {
-    "drive": (("command", "emf", "heat"), "command that acts, in the input's unit; laws apply in turn"),
+    # The position is the motor's.
+    "drive": (("command", "emf", "heat", "position"), "command that acts, in the input's unit; laws apply in turn"),
     "load": (("position", "velocity", "time", "moment"), "torque on the link; laws add up"),
     "drag": (("position", "velocity"), "smooth resistance, against the speed; laws add up"),
     "grip": (("position", "velocity", "direction", "transmitted"), "size of the dry friction; laws add up"),

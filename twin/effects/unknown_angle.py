@@ -4,23 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from twin.effects import waves
 from twin.effects.effect import Effect
-from twin.quantities import Parameter
-from twin.words import cos, sin
 
 HARMONICS = 6
 
 
 def law(q: Any, p: Any) -> Any:
-    total = 0.0
-    for k in range(1, HARMONICS + 1):
-        angle = k * p.unknown_angle_order * q.position
-        total = (
-            total
-            + getattr(p, f"unknown_angle_sin_{k}") * sin(angle)
-            + getattr(p, f"unknown_angle_cos_{k}") * cos(angle)
-        )
-    return total
+    return waves.line(p.unknown_angle_order * q.position, "unknown_angle", HARMONICS, p)
 
 
 EFFECT = Effect(
@@ -29,12 +20,8 @@ EFFECT = Effect(
     station="load",
     slot="load",
     parameters=(
-        *(
-            Parameter(f"unknown_angle_{wave}_{k}", "{x}/s^2", f"part that goes with {wave} of {k} times the phase", 0.0)
-            for k in range(1, HARMONICS + 1)
-            for wave in ("sin", "cos")
-        ),
-        Parameter("unknown_angle_order", "1", "times a turn that it repeats", None, 1e-3, start=1.0, estimated=False),
+        *waves.parameters("unknown_angle", HARMONICS, "{x}/s^2"),
+        waves.order("unknown_angle_order"),
     ),
     law=law,
     depends_on=("position",),

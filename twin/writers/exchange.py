@@ -119,7 +119,7 @@ def rates(x, p, k, command):
     emf = 0.0
     if has.supply_sag:
         emf = p.viscous_friction * speed_m / p.input_gain
-    acting = drive(command, emf, x.heat, p)
+    acting = drive(command, emf, x.heat, x.position + x.gap, p)
     if has.motor_lag:
         x.rate_lag = (acting - x.lag) / p.lag_time
         acting = x.lag
