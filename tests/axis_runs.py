@@ -71,6 +71,8 @@ SANE: dict[str, tuple[float, float]] = {
     "unknown_input_span": (80.0, 120.0),
     "unknown_time_from": (-0.2, 0.0),
     "unknown_time_span": (0.3, 1.0),
+    "unknown_drag_from": (-0.2, 0.0),
+    "unknown_drag_span": (0.3, 1.0),
     "unknown_angle_order": (0.5, 4.0),
     **dict.fromkeys(waves.names("unknown_gain", unknown_gain.HARMONICS), (-0.1, 0.1)),
     "unknown_gain_order": (0.5, 4.0),

@@ -28,7 +28,7 @@ EFFECTS = ("gravity", "coulomb_friction", "input_delay", "motor_lag")
 #: What no command can undo, or nobody knows in time.
 NAMED = {
     "backlash", "tooth_compliance", "end_stop", "joint_elasticity", "load_change", "periodic_disturbance",
-    "unknown_time", "input_delay",
+    "unknown_time", "unknown_drag", "input_delay",
 }  # fmt: skip
 PLANTED = {
     "constant_offset": {"offset": 2.0},
@@ -108,6 +108,7 @@ MORE = {
         **{f"unknown_velocity_{i:02d}": 2.0 * math.sin(i) for i in range(1, 13)},
     },
     "unknown_time": {"unknown_time_01": 1.0},
+    "unknown_drag": {"unknown_drag_01": 1.0},
 }  # fmt: skip
 #: In every model: to be blind to them is to have the usual value.
 ALWAYS = {"input_gain": 0.3, "viscous_friction": 1.5, "dead_band_forward": 0.0, "dead_band_reverse": 0.0}

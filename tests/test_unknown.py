@@ -56,7 +56,14 @@ PLANTED = {
     "unknown_position_from": -2.0,
     "unknown_position_span": 6.0,
 }
+#: Grease that warms: viscous friction that falls from 3 to 2 per second with a time constant of 8 s.
+WARMING = {
+    **{f"unknown_drag_{i:02d}": float(np.exp(-30.0 * (i - 1) / (KNOTS - 1) / 8.0)) for i in range(1, KNOTS + 1)},
+    "unknown_drag_from": 0.0,
+    "unknown_drag_span": 30.0,
+}
 CASES = {
+    "warming": lambda: recorded(9, ("unknown_drag",), **WARMING),
     "bump": lambda: recorded(3, ("unknown_position",), **PLANTED),
     "drag": lambda: recorded(4, ("quadratic_drag",), quadratic_drag=0.1),
     "cogging": lambda: recorded(6, ("unknown_angle",), unknown_angle_order=7.0, unknown_angle_sin_1=1.5),
@@ -182,6 +189,19 @@ def test_a_wave_is_drawn_with_its_order():
     assert found.values["unknown_angle_sin_1"] == pytest.approx(1.5, abs=0.15)
     others = [v for n, v in found.values.items() if n.startswith("unknown_angle_") and n[-1] in "23456"]
     assert max(abs(v) for v in others) < 0.2
+
+
+def test_friction_that_falls_with_time_is_found_and_drawn():
+    case, base = fitted("warming")
+    before = unknown.leftover(case, base.structure, base.values)
+    assert Term("drag") in unknown.which_terms(before)
+    found = unknown.fit_unknown([case], base, Term("drag"))
+    drawn = np.array([found.values[n] for n in names("unknown_drag")])
+    truth = np.array([WARMING[n] for n in names("unknown_drag")])
+    # What is constant in it is the viscous friction's.
+    assert drawn + found.values["viscous_friction"] == pytest.approx(truth + VALUES["viscous_friction"], abs=0.15)
+    other = unknown.fit_unknown([case], base, Term("time"))
+    assert found.deviance < min(base.deviance, other.deviance) - 100.0
 
 
 def left(share: float, p_value: float, size: float) -> unknown.Leftover:

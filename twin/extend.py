@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -373,10 +375,18 @@ def _undecided(found: Search) -> tuple[Undecided, ...]:
     return tuple(sorted(out, key=lambda u: -u.probabilities[1]))
 
 
-def _nameless(found: Search, left: unknown.Leftover) -> Point:
-    """The first model with the term of no known shape that serves it best."""
-    tried = [unknown.fit_unknown(found.cases, found.first, t) for t in unknown.which_terms(left)]
-    return min(tried, key=lambda p: p.deviance, default=found.first)
+def _nameless(found: Search, left: Sequence[unknown.Leftover]) -> Point:
+    """The first model with the term of no known shape that serves it best; `left` is what there is to be drawn.
+
+    The names may have shown the first model's own parameters a better place.
+    """
+    first, last = found.first, found.last
+    learned = replace(first, values={n: last.values.get(n, v) for n, v in first.values.items()})
+    terms = dict.fromkeys(t for one in left for t in unknown.which_terms(one))
+    bases = (first,) if first.structure == last.structure else (first, learned)
+    with ThreadPoolExecutor(2) as pool:
+        tried = list(pool.map(lambda pair: unknown.fit_unknown(found.cases, *pair), itertools.product(bases, terms)))
+    return min(tried, key=lambda p: p.deviance, default=first)
 
 
 def _outdone(found: Search, nameless: Point) -> bool:
@@ -436,7 +446,7 @@ def diagnose(
     case, lacking = _telling(found)
     left = [lacking, unknown.leftover(case, found.last.structure, found.last.values)]
     tell("trying shapes without a name", 0.85)
-    nameless = _nameless(found, left[0])
+    nameless = _nameless(found, left)
     named = bool(set(found.last.structure.named) - set(first.named))
     verdict = "unexplained" if _outdone(found, nameless) else unknown.verdict(named, left[0], left[1])
     if verdict == "unexplained":

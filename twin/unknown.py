@@ -273,10 +273,10 @@ class Term:
 
 
 #: What a term over a variable makes superfluous: it holds any straight line itself.
-_HELD = {"velocity": "viscous_friction", "input": "input_gain"}
-#: Kinds of term, by what they are drawn over; each is the effect unknown_<kind>. A gain is one of the motor over its
-#: angle, a push a torque over the angle that differs with the command's sign.
-TERMS = ("position", "angle", "velocity", "input", "time", "gain", "push")
+_HELD = {"velocity": "viscous_friction", "drag": "viscous_friction", "input": "input_gain"}
+#: Kinds of term, by what they are drawn over; each is the effect unknown_<kind>. A drag is viscous friction over time, a
+#: gain the motor's over its angle, a push a torque over the angle that differs with the command's sign.
+TERMS = ("position", "angle", "velocity", "input", "time", "drag", "gain", "push")
 #: Those of waves over the angle, and what these are called.
 _WAVES: Mapping[str, tuple[tuple[str, int], ...]] = {
     "angle": (("unknown_angle", unknown_angle.HARMONICS),),
@@ -333,16 +333,22 @@ def _first_line(
     means: Mapping[str, FloatArray], term: Term, values: Mapping[str, float]
 ) -> tuple[dict[str, float], tuple[str, ...]]:
     """Values of the parameters of a term of lines to start from, and the knots that have seen enough to be fitted."""
-    variable = term.kind
-    prefix = f"unknown_{variable}"
+    prefix = f"unknown_{term.kind}"
+    variable = "time" if term.kind == "drag" else term.kind
     x = means[variable]
     low, high = (float(q) for q in np.quantile(x, (0.0, 1.0) if variable in ("time", "input") else (0.005, 0.995)))
     span = max(high - low, 1e-6)
     columns = _hats(x, low, span)
+    weight = np.ones(len(x))
+    if term.kind == "velocity":
+        weight = -weight
+    elif term.kind == "drag":
+        weight = -means["velocity"]
+    elif term.kind == "input":
+        weight = values["input_gain"] * weight
     # A first model without the right physics may end where the command does nothing.
-    gain = values["input_gain"]
-    share = {"velocity": -1.0, "input": 1.0 / gain if gain > 0.0 else 0.0}.get(variable, 1.0)
-    heights = share * _smooth(columns, _clipped(means["torque"]))
+    size = float(np.sqrt(np.mean(weight**2))) or math.inf
+    heights = _smooth(columns * (weight / size)[:, None], _clipped(means["torque"])) / size
     seen = columns.sum(axis=0) > _SEEN * len(x) / KNOTS
     start = {n: float(h) for n, h in zip(names(prefix), heights, strict=True)}
     free = tuple(n for n, s in zip(names(prefix), seen, strict=True) if s)
@@ -385,12 +391,12 @@ def term_for(table: str) -> Term:
         return Term("push" if wave[2] else "angle", float(wave[1]))
     drawn = {
         "direction": "velocity", "since reversal": "position", "acceleration": "input", "angle, push": "push",
-        "angle, input": "gain", "position, input": "gain",
+        "angle, input": "gain", "position, input": "gain", "velocity, time": "drag",
     }  # fmt: skip
     return Term(drawn.get(table, table.split(", ")[0]))
 
 
-def which_terms(found: Leftover, most: int = 2) -> list[Term]:
+def which_terms(found: Leftover, most: int = 3) -> list[Term]:
     """The terms worth fitting, the most telling first, with a share near the best."""
     telling = (d for d in found.dependences if d.share > 0.3 * found.share)
     return list(dict.fromkeys(term_for(d.table) for d in telling))[:most]

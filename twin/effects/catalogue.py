@@ -32,6 +32,7 @@ from twin.effects import (
     tooth_compliance,
     torque_ripple,
     unknown_angle,
+    unknown_drag,
     unknown_gain,
     unknown_input,
     unknown_position,
@@ -80,6 +81,7 @@ EFFECTS: Mapping[str, Effect] = {
         unknown_position,
         unknown_angle,
         unknown_velocity,
+        unknown_drag,
         unknown_time,
     )
 }
