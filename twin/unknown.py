@@ -384,19 +384,22 @@ def fit_unknown(cases: Sequence[Case], base: Point, term: Term, held: Sequence[s
     return likelihood.climb(mine, structure, values, base.density, (*kept, *free))
 
 
-def term_for(table: str) -> Term:
-    """The term that can draw what a table shows."""
+#: What can draw the tables that are not drawn by the term over their first variable.
+_DRAWN = {
+    "direction": ("velocity",), "since reversal": ("position",), "acceleration": ("input",), "angle, push": ("push",),
+    "angle, input": ("gain",), "position, input": ("gain",), "velocity, time": ("drag",), "time": ("time", "drag"),
+}  # fmt: skip
+
+
+def terms_for(table: str) -> list[Term]:
+    """The terms that may draw what a table shows."""
     wave = re.fullmatch("wave ([0-9]+)(, push)?", table)
     if wave:
-        return Term("push" if wave[2] else "angle", float(wave[1]))
-    drawn = {
-        "direction": "velocity", "since reversal": "position", "acceleration": "input", "angle, push": "push",
-        "angle, input": "gain", "position, input": "gain", "velocity, time": "drag",
-    }  # fmt: skip
-    return Term(drawn.get(table, table.split(", ")[0]))
+        return [Term("push" if wave[2] else "angle", float(wave[1]))]
+    return [Term(kind) for kind in _DRAWN.get(table, (table.split(", ")[0],))]
 
 
 def which_terms(found: Leftover, most: int = 3) -> list[Term]:
     """The terms worth fitting, the most telling first, with a share near the best."""
     telling = (d for d in found.dependences if d.share > 0.3 * found.share)
-    return list(dict.fromkeys(term_for(d.table) for d in telling))[:most]
+    return list(dict.fromkeys(t for d in telling for t in terms_for(d.table)))[:most]
