@@ -98,21 +98,6 @@ def test_a_rival_takes_its_share_and_a_larger_model_none(also):
     assert pair.ids == ("gravity", "spring") and sum(pair.probabilities) == pytest.approx(known)
 
 
-@pytest.mark.parametrize(
-    ("last", "nameless", "outdone"),
-    [
-        (1000.0, 900.0, False),  # a free curve follows every real thing closer than its name
-        (2900.0, 1000.0, True),
-        (3000.0, 2900.0, True),  # nothing was named
-        (3000.0, 2990.0, False),
-    ],
-)
-def test_a_name_that_does_less_than_half_is_no_name(monkeypatch, last, nameless, outdone):
-    monkeypatch.setattr(extend.explain, "shows", lambda cases, before, after: True)
-    found = Search(point(3000.0), point(last), (), ())
-    assert extend._outdone(found, point(nameless)) is outdone
-
-
 def test_the_user_is_told_of_both():
     told = finding.to_json(example())["undecided"]
     assert told == [

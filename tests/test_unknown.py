@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin import extend, likelihood, locate, unknown
+from twin import compare, extend, identify, likelihood, locate, unknown
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, UNKNOWN
 from twin.effects.knots import KNOTS, line, names
@@ -62,7 +62,18 @@ WARMING = {
     "unknown_drag_from": 0.0,
     "unknown_drag_span": 30.0,
 }
+#: Drag that is felt around one speed only, either way.
+HUMP = {
+    **{
+        n: float(2.5 * np.sign(v) * np.exp(-(((abs(v) - 4.0) / 1.0) ** 2)))
+        for n, v in zip(names("unknown_velocity"), np.linspace(-8.0, 8.0, KNOTS), strict=True)
+    },
+    "unknown_velocity_from": -8.0,
+    "unknown_velocity_span": 16.0,
+}
 CASES = {
+    "hump": lambda: recorded(10, ("unknown_velocity",), **HUMP),
+    "humped": lambda: recorded(11, ("unknown_velocity", "coulomb_friction"), coulomb_friction=3.0, **HUMP),
     "warming": lambda: recorded(9, ("unknown_drag",), **WARMING),
     "bump": lambda: recorded(3, ("unknown_position",), **PLANTED),
     "drag": lambda: recorded(4, ("quadratic_drag",), quadratic_drag=0.1),
@@ -202,6 +213,30 @@ def test_friction_that_falls_with_time_is_found_and_drawn():
     assert drawn + found.values["viscous_friction"] == pytest.approx(truth + VALUES["viscous_friction"], abs=0.15)
     other = unknown.fit_unknown([case], base, Term("time"))
     assert found.deviance < min(base.deviance, other.deviance) - 100.0
+
+
+@pytest.mark.parametrize(
+    ("key", "name", "term", "outdone"),
+    [
+        ("hump", "quadratic_drag", Term("velocity"), True),  # a name that bends towards what it is not
+        ("humped", "coulomb_friction", Term("velocity"), False),  # a friction that departs from its name
+        ("drag", "quadratic_drag", Term("velocity"), False),
+        ("nothing", "", Term("velocity"), False),
+        ("hump", "", Term("velocity"), True),
+    ],
+)
+def test_what_has_no_name_wins_where_the_names_do_nothing_beside_it(key, name, term, outdone):
+    case, first = fitted(key)
+    last = first
+    if name:
+        (mine,) = identify.with_steps([case], STRUCTURE.with_(name))
+        structure = STRUCTURE.with_(name)
+        free = identify.free_parameters(structure)
+        last = likelihood.climb([mine], structure, identify.completed(structure, first.values), first.density, free)
+        assert compare.earns(first, last)
+    nameless = unknown.fit_unknown([case], first, term)
+    found = extend.Search(first, last, (), (case,))
+    assert extend._outdone(found, nameless) is outdone
 
 
 def left(share: float, p_value: float, size: float) -> unknown.Leftover:

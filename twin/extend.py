@@ -390,14 +390,26 @@ def _nameless(found: Search, left: Sequence[unknown.Leftover]) -> Point:
 
 
 def _outdone(found: Search, nameless: Point) -> bool:
-    """Whether what has no name is what a recording speaks for: the names earn less than half of what it does.
+    """Whether what has no name is what a recording speaks for: it does more than the names, which beside it do nothing.
 
-    Every real friction departs a little from its name, and a curve that may take any shape follows it.
+    Every real friction departs a little from its name, and a curve that may take any shape follows it; but what else
+    the name says, as that friction turns with the motion, the curve does not have.
     """
-    unit = compare.worth([found.last])
-    first, last, free = (compare.criterion(p, unit) for p in (found.first, found.last, nameless))
-    ahead = last - free
-    return ahead > max(compare.LEAST, first - last) and explain.shows(found.cases, found.last, nameless)
+    if not explain.shows(found.cases, found.last, nameless):
+        return False
+    return not compare.earns(nameless, _beside(found, nameless))
+
+
+def _beside(found: Search, nameless: Point) -> Point:
+    """The names and what has none together, fitted; that alone where nothing was named."""
+    last, kept = found.last, [n for n in found.last.free if n not in found.first.free]
+    both = nameless.structure.with_(*last.structure.ids)
+    if both == nameless.structure:
+        return nameless
+    mine, free = identify.with_steps(found.cases, both), tuple(dict.fromkeys((*nameless.free, *kept)))
+    starts = ({**last.values, **nameless.values}, {**nameless.values, **last.values})
+    fits = (likelihood.climb(mine, both, identify.completed(both, v), nameless.density, free) for v in starts)
+    return min(fits, key=lambda p: p.deviance)
 
 
 def _next(found: Search) -> Experiment:
@@ -446,7 +458,7 @@ def diagnose(
     case, lacking = _telling(found)
     left = [lacking, unknown.leftover(case, found.last.structure, found.last.values)]
     tell("trying shapes without a name", 0.85)
-    nameless = _nameless(found, left)
+    nameless = _nameless(found, [left[0], *([left[1]] if unknown.is_left(left[1]) else [])])
     named = bool(set(found.last.structure.named) - set(first.named))
     verdict = "unexplained" if _outdone(found, nameless) else unknown.verdict(named, left[0], left[1])
     if verdict == "unexplained":
