@@ -37,6 +37,8 @@ TURNS = 2
 UNSURE = 2.0 * compare.TEMPER
 #: Where the last model lacks so many times as much as in what was fitted, held-out data show what training did not.
 BEYOND = 3.0
+#: So many shapes without a name are drawn to the end.
+SKETCHES = 2
 #: A rival that had earned all but this share of what the winner did is tried in its place.
 NARROW = 0.1
 #: Three time constants, but no less and no more than this, a free run starts ahead of what is judged, s.
@@ -385,8 +387,10 @@ def _nameless(found: Search, left: Sequence[unknown.Leftover]) -> Point:
     terms = dict.fromkeys(t for one in left for t in unknown.which_terms(one))
     bases = (first,) if first.structure == last.structure else (first, learned)
     with ThreadPoolExecutor(2) as pool:
-        tried = list(pool.map(lambda pair: unknown.fit_unknown(found.cases, *pair), itertools.product(bases, terms)))
-    return min(tried, key=lambda p: p.deviance, default=first)
+        tried = pool.map(lambda pair: unknown.sketch(found.cases, *pair), itertools.product(bases, terms))
+        best = sorted(tried, key=lambda p: p.deviance)[:SKETCHES]
+        fits = list(pool.map(lambda p: unknown.finish(found.cases, p), best))
+    return min(fits, key=lambda p: p.deviance, default=first)
 
 
 def _outdone(found: Search, nameless: Point) -> bool:

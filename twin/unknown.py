@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -274,8 +274,8 @@ class Term:
 
 #: What a term over a variable makes superfluous: it holds any straight line itself.
 _HELD = {"velocity": "viscous_friction", "drag": "viscous_friction", "input": "input_gain"}
-#: Kinds of term, by what they are drawn over; each is the effect unknown_<kind>. A drag is viscous friction over time, a
-#: gain the motor's over its angle, a push a torque over the angle that differs with the command's sign.
+#: Kinds of term; each is the effect unknown_<kind>. A drag is viscous friction over time, a gain the motor's over its
+#: angle, a push a torque over the angle that differs with the command's sign.
 TERMS = ("position", "angle", "velocity", "input", "time", "drag", "gain", "push")
 #: Those of waves over the angle, and what these are called.
 _WAVES: Mapping[str, tuple[tuple[str, int], ...]] = {
@@ -363,8 +363,8 @@ def _bridged(values: Mapping[str, float], prefix: str, free: Sequence[str]) -> d
     return {**values, **{n: float(v) for n, v in zip(knots, level, strict=True)}}
 
 
-def fit_unknown(cases: Sequence[Case], base: Point, term: Term, held: Sequence[str] = ()) -> Point:
-    """The base model and a term of no known shape, fitted together at the base's noise density."""
+def sketch(cases: Sequence[Case], base: Point, term: Term) -> Point:
+    """The base model and a term of no known shape, after a few steps at the base's noise density."""
     kind = term.kind
     structure = base.structure.with_(f"unknown_{kind}")
     mine = identify.with_steps(cases, structure)
@@ -372,16 +372,23 @@ def fit_unknown(cases: Sequence[Case], base: Point, term: Term, held: Sequence[s
     means = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
     first = _first_waves if kind in _WAVES else _first_line
     start, free = first(means, term, base.values)
-    kept = tuple(n for n in base.free if n not in held and n != _HELD.get(kind))
+    free = (*(n for n in base.free if n != _HELD.get(kind)), *free)
     values = {**base.values, **start}
-    if kind in _WAVES:
-        return likelihood.climb(mine, structure, values, base.density, (*kept, *free))
-    prefix = f"unknown_{kind}"
-    rough = likelihood.climb(
-        mine, structure, _bridged(values, prefix, free), base.density, (*kept, *free), rounds=5, tolerance=1.0
-    )
-    values = _bridged(rough.values, prefix, free)
-    return likelihood.climb(mine, structure, values, base.density, (*kept, *free))
+    if kind not in _WAVES:
+        values = _bridged(values, f"unknown_{kind}", free)
+    rough = likelihood.climb(mine, structure, values, base.density, free, rounds=5, tolerance=1.0)
+    return rough if kind in _WAVES else replace(rough, values=_bridged(rough.values, f"unknown_{kind}", free))
+
+
+def finish(cases: Sequence[Case], sketched: Point) -> Point:
+    """The maximum from a sketch."""
+    mine = identify.with_steps(cases, sketched.structure)
+    return likelihood.climb(mine, sketched.structure, sketched.values, sketched.density, sketched.free)
+
+
+def fit_unknown(cases: Sequence[Case], base: Point, term: Term) -> Point:
+    """The base model and a term of no known shape, fitted together at the base's noise density."""
+    return finish(cases, sketch(cases, base, term))
 
 
 #: What can draw the tables that are not drawn by the term over their first variable.
