@@ -104,6 +104,15 @@ def test_every_verdict_and_kind_of_recording(verdict, several):
     assert "nan" not in page.text.lower().split()
 
 
+def test_a_curve_without_a_name_is_said_and_shown():
+    drawn = replace(example("unexplained"), after=model_of("unknown_gain"), depends_on=("position", "input"))
+    curve = phrases.title("unknown_gain")
+    said = f"it goes with position and the command. A curve is fitted in its place: {curve}."
+    assert phrases.headline(drawn).endswith(said)
+    page = Page(report.html(story(diagnosis=drawn)))
+    assert "improved model" in page.text and curve in page.text
+
+
 def test_controller_checks_and_two_stage_have_their_place():
     made = control.design(model_of("gravity"), 2.0)
     ran = cosim.simulate(model_of("gravity"), made, cosim.make_reference("minimum-jerk", made))

@@ -15,7 +15,7 @@ import numpy as np
 
 from twin import compare, experiment, explain, identify, likelihood, locate, meetings, package, screening, unknown
 from twin.axis import Structure
-from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS
+from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN
 from twin.errors import BadInput
 from twin.explain import Hypothesis, Round
 from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
@@ -319,7 +319,7 @@ def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, fl
     named: dict[str, float] = {}
     ranking: dict[str, float] = {}
     for effect in found.last.structure.named:
-        if effect.startswith("unknown_"):
+        if effect in UNKNOWN:
             continue
         contest = _contest(found.rounds, found.last.structure, effect)
         against = {h.added[0]: max(behind, 0.0) for h, behind in contest.rivals}
@@ -342,7 +342,7 @@ def _findings(found: Search, model: Model, first: Structure) -> tuple[Finding, .
     named, _ = _probabilities(found)
     out = []
     for effect in model.structure.named:
-        if effect in first or effect.startswith("unknown_"):
+        if effect in first or effect in UNKNOWN:
             continue
         page = EFFECTS[effect]
         parameters = {
@@ -499,7 +499,8 @@ def diagnose(
     tell("designing the next experiment", 0.95)
     designed = _next(found)
     lap("next experiment")
-    depends = tuple(EFFECTS[findings[0].id].depends_on) if findings else left[0].variables
+    telling = [*(f.id for f in findings), *(i for i in after.structure.ids if i in UNKNOWN)]
+    depends = tuple(EFFECTS[telling[0]].depends_on) if telling else left[0].variables
     _, ranking = _probabilities(found)
     return Diagnosis(
         verdict=verdict,

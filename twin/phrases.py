@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from twin.effects.catalogue import EFFECTS
+from twin.effects.catalogue import EFFECTS, UNKNOWN
 
 if TYPE_CHECKING:
     from twin.cosim import Tracking
@@ -115,7 +115,9 @@ def headline(diagnosis: Diagnosis) -> str:
         return f"The first model left out {found}, and something else that has no name here yet."
     where = variables(diagnosis)
     tail = f", and it goes with {where}" if where else ""
-    return f"Something is missing that none of the known effects describes{tail}."
+    drawn = listed([title(i) for i in diagnosis.after.structure.ids if i in UNKNOWN])
+    curve = f". A curve is fitted in its place: {drawn}" if drawn else ""
+    return f"Something is missing that none of the known effects describes{tail}{curve}."
 
 
 def _or_else(effect: str, diagnosis: Diagnosis) -> str:
