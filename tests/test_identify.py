@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from axis_runs import run, steps
@@ -46,6 +48,23 @@ def test_a_memory_that_grows_leads_from_another_gap_and_other_teeth_to_the_truth
     assert point.values["tooth_frequency"] == pytest.approx(VALUES["tooth_frequency"], rel=0.05)
     direct = likelihood.climb(cases, STRUCTURE, VALUES | apart, point.density, free)
     assert direct.deviance > point.deviance + 100.0
+
+
+def test_a_linear_axis_is_the_same_rig_seen_at_a_pinion() -> None:
+    turning = made(7000)
+    radius = replace(turning, output_unit="m").lever
+    sled = replace(turning, output=radius * turning.output, output_unit="m", resolution=radius * COUNT)
+    rigid, found = STRUCTURE.without("tooth_compliance"), []
+    for recording, length in ((turning, 1.0), (sled, radius)):
+        cases, points = identify.start([recording], rigid, {})
+        known = VALUES | {"input_gain": 0.3 * length, "backlash_gap": 0.03 * length}
+        bred = identify._bred(
+            identify.with_steps(cases, STRUCTURE), replace(points[0], structure=STRUCTURE, values=known)
+        )
+        gaps = [v["backlash_gap"] for v in (*(p.values for p in points), *bred)]
+        gains = [p.values["input_gain"] for p in points]
+        found.append([*(x / length for x in (*gaps, *gains)), *(p.values["motor_share"] for p in points)])
+    assert found[1] == pytest.approx(found[0], rel=1e-3)
 
 
 def test_from_where_no_slope_leads_to_the_truth_breeding_does() -> None:

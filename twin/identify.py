@@ -64,6 +64,12 @@ def free_parameters(structure: Structure) -> tuple[str, ...]:
     return tuple(p.name for p in structure.parameters if p.estimated)
 
 
+def _scaled(grid: Mapping[str, tuple[float, ...]], cases: Sequence[Case]) -> dict[str, tuple[float, ...]]:
+    """A grid whose gaps are in the unit of these recordings, not in rad."""
+    lever = cases[0].recording.lever
+    return {n: tuple(lever * x for x in v) if n == "backlash_gap" else v for n, v in grid.items()}
+
+
 def _scan(
     cases: Sequence[Case], structure: Structure, values: Mapping[str, float], density: float,
     grid: Mapping[str, Iterable[float]], keep: int,
@@ -83,7 +89,7 @@ def coarse(
     free = tuple(n for n in free_parameters(rigid) if n not in held)
     core = tuple(n for n in free if n not in _GRID)
     point = likelihood.climb(cases, rigid, values, density, core, rounds=12, tolerance=1.0)
-    grid = {n: v for n, v in _GRID.items() if n in free}
+    grid = {n: v for n, v in _scaled(_GRID, cases).items() if n in free}
     if not grid:
         return point
     best = point
@@ -217,7 +223,8 @@ def _bred(cases: Sequence[Case], point: Point) -> list[dict[str, float]]:
     Where a motor rattles the slopes lead from everywhere into valleys nearby, but the deviance tells what is near the
     truth from what is not; so many are tried, and the better ones mixed with each other.
     """
-    names = [n for n in _RANGES if n in point.free]
+    ranges = _scaled(_RANGES, cases)
+    names = [n for n in ranges if n in point.free]
     if len(names) < 2:
         return []
     seen = _glimpses(cases, point.structure)
@@ -228,7 +235,7 @@ def _bred(cases: Sequence[Case], point: Point) -> list[dict[str, float]]:
 
     crowd = differential_evolution(
         lambda x: np.array(likelihood.deviances(seen, point.structure, [valued(v) for v in x.T], density)),
-        np.log([_RANGES[n] for n in names]), maxiter=_GENERATIONS, popsize=_CROWD // len(names), init="sobol", rng=0,
+        np.log([ranges[n] for n in names]), maxiter=_GENERATIONS, popsize=_CROWD // len(names), init="sobol", rng=0,
         polish=False, vectorized=True, updating="deferred", tol=0.0,
     )  # fmt: skip
     chosen: list[NDArray[np.float64]] = []

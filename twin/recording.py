@@ -91,6 +91,11 @@ class Recording:
         """True when the output is a speed, not a position."""
         return self.output_unit.endswith("/s")
 
+    @property
+    def lever(self) -> float:
+        """What a radian at the gears makes at the output: 1 on a turning axis, else about the radius of a pinion, m."""
+        return 0.02 if self.output_unit.startswith("m") else 1.0
+
     def part(self, start: float, end: float) -> "Recording":
         """The samples from `start` to `end` (s, both included), with time from 0 again.
 

@@ -107,6 +107,7 @@ def grids(
             )
     out["end_stop"] = stops
     if "backlash" in structure:
+        lever = longest.recording.lever
         # Ringing is told by its frequency, which no gradient finds from afar, and changes what the gap looked like.
         out["joint_elasticity"] = [
             {
@@ -118,7 +119,7 @@ def grids(
             }
             for f in (3.0, 4.0, 5.3, 7.2, 10.0, 14.0, 20.0, 28.0)
             for share in (0.15, 0.3, 0.45)
-            for gap in (0.015, 0.04)
+            for gap in (0.015 * lever, 0.04 * lever)
         ]
     return out
 

@@ -78,7 +78,7 @@ def start_values(cases: Sequence[Case], structure: Structure) -> dict[str, float
     if "own_inertia" in values:
         values |= _with_payload(cases, parts)
     if "backlash_gap" in values:
-        values["backlash_gap"] = min(0.01, 0.01 * float(np.max(np.abs(speed))))
+        values["backlash_gap"] = 0.01 * min(cases[0].recording.lever, float(np.max(np.abs(speed))))
     return values
 
 
