@@ -83,6 +83,12 @@ def host(target: str, folder: Path) -> Path:
     return out
 
 
+@pytest.fixture(scope="module")
+def wine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where wine keeps its Windows: making one takes it longer than all the rest."""
+    return tmp_path_factory.mktemp("wine")
+
+
 RUNNERS = {
     "linux": ("x86_64-linux-gnu.2.17", ()),
     "aarch64": ("aarch64-linux-gnu.2.36", ("qemu-aarch64", "-L", str(ARM_LIBRARIES))),
@@ -92,7 +98,9 @@ RUNNERS = {
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the emulators run on Linux")
 @pytest.mark.parametrize("where", RUNNERS)
-def test_runs_in_a_host_without_python(where: str, unpacked: tuple[Path, int], tmp_path: Path) -> None:
+def test_runs_in_a_host_without_python(
+    where: str, unpacked: tuple[Path, int], wine: Path, tmp_path: Path
+) -> None:
     folder, fmi = unpacked
     target, runner = RUNNERS[where]
     if runner and shutil.which(runner[0]) is None:
@@ -108,7 +116,7 @@ def test_runs_in_a_host_without_python(where: str, unpacked: tuple[Path, int], t
         [*runner, str(host(target, tmp_path)), str(library(folder, FOLDERS[fmi][where])), str(fmi), token, resources,
          repr(PERIOD)],
         input="\n".join(map(repr, u[:-1].tolist())), capture_output=True, text=True,
-        env={**os.environ, "WINEDEBUG": "-all", "WINEPREFIX": str(tmp_path / "wine")},
+        env={**os.environ, "WINEDEBUG": "-all", "WINEPREFIX": str(wine)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     got = np.array([[float(v) for v in line.split()] for line in done.stdout.splitlines()])
