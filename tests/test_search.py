@@ -102,6 +102,7 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
         ("encoder_eccentricity", "eccentricity", 0.03, 0.5),
         ("gravity", "gravity_angle", -1.0, -2562.0),
         ("end_stop", "stop_upper", 2.9, 0.0),
+        ("load_change", "load_time", 5.0, 0.2),
     ):
         structure = Structure.of([*BASE, effect])
         cases = [likelihood.prepare(turning, structure)]

@@ -243,6 +243,12 @@ def left(share: float, p_value: float, size: float) -> unknown.Leftover:
     return unknown.Leftover(share, p_value, ("position",), "position", size, ())
 
 
+def test_nothing_is_drawn_of_what_chance_makes():
+    seen = unknown.Dependence("angle", ("position",), 0.3, 9.0, 0.4)
+    for p_value, terms in ((1e-9, [Term("angle")]), (0.2, [])):
+        assert unknown.which_terms(replace(left(0.3, p_value, 0.4), dependences=(seen,))) == terms
+
+
 def test_verdicts():
     much, little, chance = left(0.6, 1e-9, 1.0), left(0.03, 1e-5, 0.1), left(0.3, 0.2, 0.4)
     assert unknown.verdict(False, little, little) == "nothing_missing"

@@ -185,7 +185,8 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
 
 def _prefers(cases: Sequence[Case], before: Point, after: Point, density: float) -> bool:
     """Whether at this noise density the larger model is worth its parameters, each from its own place and the other's:
-    valleys are others there, and the one that the larger model happens to be in says nothing about its effect.
+    valleys are others there, and the one that the larger model happens to be in says nothing about its effect. Where
+    the smaller one can be the larger can be, too.
     """
 
     def adapted(point: Point, values: Mapping[str, float]) -> Point:
@@ -197,6 +198,7 @@ def _prefers(cases: Sequence[Case], before: Point, after: Point, density: float)
         one, other = pool.map(lambda p: adapted(p, p.values), (before, after))
         learned = list(pool.map(adapted, (before, after), (other.values, one.values)))
     smaller, larger = (min(pair, key=lambda p: p.deviance) for pair in zip((one, other), learned, strict=True))
+    larger = min(larger, adapted(after, smaller.values), key=lambda p: p.deviance)
     unit = compare.worth([smaller, larger])
     return compare.criterion(larger, unit) < compare.criterion(smaller, unit)
 

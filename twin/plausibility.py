@@ -21,6 +21,8 @@ OWN = 0.8
 FLUNG = 100.0
 #: An encoder that errs by more over a turn is one that nobody would have built in, rad.
 OFF_CENTRE = 0.1
+#: Share of a recording at its beginning and its end that is too little to know a load by.
+BESIDE = 0.05
 #: A stop gives way by no larger share of the travel.
 GIVES = 0.2
 #: So much of the travel away from a stop the link does not touch it.
@@ -40,6 +42,12 @@ def _disturbance(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     """It has repeated, and comes from outside."""
     cycles = values["disturbance_frequency"] * max(float(c.drive.time[-1]) for c in cases)
     return cycles >= REPEATS and all(_follows(c, values) < OWN for c in cases)
+
+
+def _load(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+    """It was another before, and has been this one since."""
+    ends = [float(c.drive.time[-1]) for c in cases]
+    return any(BESIDE * end < values["load_time"] < (1.0 - BESIDE) * end for end in ends)
 
 
 def _spring(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
@@ -92,6 +100,7 @@ def _comes(depth: NDArray[np.float64]) -> bool:
 
 
 RULES: Mapping[str, Rule] = {
+    "load_change": _load,
     "torque_ripple": _ripple,
     "periodic_disturbance": _disturbance,
     "spring": _spring,

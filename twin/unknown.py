@@ -40,7 +40,7 @@ _ORDERS = range(2, 61)
 _PHASES = 8
 #: What counts as left: a rig with nothing missing leaves next to nothing, unless its motor rattles without end.
 SURE = 0.01
-LARGE = 0.15
+LARGE = 0.2
 #: Part of the predictable torque's power that a named effect must take away to stand for it.
 REMOVED = 0.75
 _EULER = 0.5772156649015329
@@ -407,6 +407,6 @@ def terms_for(table: str) -> list[Term]:
 
 
 def which_terms(found: Leftover, most: int = 3) -> list[Term]:
-    """The terms worth fitting, the most telling first, with a share near the best."""
-    telling = (d for d in found.dependences if d.share > 0.3 * found.share)
+    """The terms worth fitting, the most telling first, with a share near the best; none where chance does as well."""
+    telling = [d for d in found.dependences if d.share > 0.3 * found.share] if found.p_value < SURE else []
     return list(dict.fromkeys(t for d in telling for t in terms_for(d.table)))[:most]
