@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import inspect
+import re
 import shutil
 import string
 import subprocess
@@ -17,7 +19,7 @@ from axis_runs import PAYLOAD, drive, run, sane, steps
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin import kernel
+from twin import axis, kernel
 from twin.axis import KNOWN, Structure
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS
 from twin.effects.effect import SLOTS
@@ -118,6 +120,14 @@ def test_dissipative_effects_never_feed_energy(effect):
     energy = 0.5 * share * states[:, 3] ** 2 + 0.5 * (1.0 - share) * states[:, 1] ** 2
     assert np.diff(energy).max() <= 1e-12
     assert energy[-1] < 0.5 * energy[0]
+
+
+@pytest.mark.parametrize("effect", [e for e in EFFECTS.values() if e.slot == "drive"], ids=lambda e: e.id)
+def test_a_drive_that_gives_more_or_less_on_the_way_is_asked_again_in_the_middle(effect):
+    """Or the stepper is of first order in what it reads: `piece` has to name it."""
+    reads = {s.name for s in trace(effect.id).expression.free_symbols} & set(SLOTS["drive"][0])
+    named = re.search(rf"if has\.{effect.id}:\n\s+varies = 1", inspect.getsource(axis.piece)) is not None
+    assert named == (reads != {"command"})
 
 
 @every_effect

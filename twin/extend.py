@@ -37,8 +37,8 @@ TURNS = 2
 UNSURE = 2.0 * compare.TEMPER
 #: Where the last model lacks so many times as much as in what was fitted, held-out data show what training did not.
 BEYOND = 3.0
-#: So many shapes without a name are drawn to the end.
-SKETCHES = 2
+#: So many shapes without a name are drawn to the end, and none where names leave a smaller share of the missing torque.
+SKETCHES, FAINT = 2, 0.1
 #: A rival that had earned all but this share of what the winner did is tried in its place.
 NARROW = 0.1
 #: Three time constants, but no less and no more than this, a free run starts ahead of what is judged, s.
@@ -377,15 +377,20 @@ def _undecided(found: Search) -> tuple[Undecided, ...]:
     return tuple(sorted(out, key=lambda u: -u.probabilities[1]))
 
 
-def _nameless(found: Search, left: Sequence[unknown.Leftover]) -> Point:
-    """The first model with the term of no known shape that serves it best; `left` is what there is to be drawn.
+def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover) -> Point:
+    """The first model with the term of no known shape that serves it best; by itself where the names leave too little.
 
-    The names may have shown the first model's own parameters a better place.
+    `before` and `after` are what the first model and the last one lack. The names may have shown the first model's own
+    parameters a better place.
     """
     first, last = found.first, found.last
-    learned = replace(first, values={n: last.values.get(n, v) for n, v in first.values.items()})
+    bases, left = [first], [before]
+    if last.structure != first.structure:
+        if after.share < FAINT:
+            return first
+        bases.append(replace(first, values={n: last.values.get(n, v) for n, v in first.values.items()}))
+        left.append(after)
     terms = dict.fromkeys(t for one in left for t in unknown.which_terms(one))
-    bases = (first,) if first.structure == last.structure else (first, learned)
     with ThreadPoolExecutor(2) as pool:
         tried = pool.map(lambda pair: unknown.sketch(found.cases, *pair), itertools.product(bases, terms))
         best = sorted(tried, key=lambda p: p.deviance)[:SKETCHES]
@@ -462,7 +467,7 @@ def diagnose(
     case, lacking = _telling(found)
     left = [lacking, unknown.leftover(case, found.last.structure, found.last.values)]
     tell("trying shapes without a name", 0.85)
-    nameless = _nameless(found, [left[0], *([left[1]] if unknown.is_left(left[1]) else [])])
+    nameless = _nameless(found, *left)
     named = bool(set(found.last.structure.named) - set(first.named))
     verdict = "unexplained" if _outdone(found, nameless) else unknown.verdict(named, left[0], left[1])
     if verdict == "unexplained":
