@@ -50,6 +50,19 @@ def test_a_memory_that_grows_leads_from_another_gap_and_other_teeth_to_the_truth
     assert direct.deviance > point.deviance + 100.0
 
 
+def test_the_way_is_found_in_parts_and_ends_with_all_of_a_recording(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(identify, "_LONGER", 1.5)
+    cases, begun = identify.start([made(10000)], STRUCTURE, {})
+    ways = []
+    monkeypatch.setattr(
+        identify, "_lengthened", lambda seen, *more, way=identify._lengthened: ways.append(seen) or way(seen, *more)
+    )
+    point = identify.refine(cases, STRUCTURE, begun, {})
+    assert all(len(seen) == 5 and seen[0].drive.time[-1] < 1.6 for seen in ways)
+    assert point.values["input_gain"] == pytest.approx(VALUES["input_gain"], rel=1e-3)
+    assert point.values["backlash_gap"] == pytest.approx(VALUES["backlash_gap"], rel=0.02)
+
+
 def test_a_linear_axis_is_the_same_rig_seen_at_a_pinion() -> None:
     turning = made(7000)
     radius = replace(turning, output_unit="m").lever

@@ -52,9 +52,9 @@ _LOOSE, _CROWD, _GENERATIONS, _APART, _CHOSEN = 0.01, 32, 9, 1.1, 3
 _ROUGH = 1.3
 #: The shortest memory of the filter from which on it is lengthened, s, and how often it is at most.
 _BRIEF, _RUNGS = 0.007, 12
-#: Coarse values are looked for in so many parts of a recording, of so many seconds each: more would say no more of
-#: where the valleys lie, and take longer.
-_PARTS, _LASTING = 5, 4.0
+#: Coarse values are looked for in so many parts of a recording, of so many seconds each, and the way on from there in
+#: longer parts: more would say no more of where the valleys lie, and take longer.
+_PARTS, _LASTING, _LONGER = 5, 4.0, 12.0
 #: Changes of teeth and gap that matter to nothing but the order of bounces, as shares of their values.
 _TREMBLE = {"tooth_frequency": 0.01, "tooth_damping": 0.01, "backlash_gap": 0.001}
 
@@ -119,16 +119,16 @@ def _part(case: Case, structure: Structure, begin: float, end: float) -> Case:
     )
 
 
-def _glimpses(cases: Sequence[Case], structure: Structure) -> list[Case]:
-    """Parts of the recordings, spread evenly, in which coarse values are looked for; a short recording is one part."""
+def _glimpses(cases: Sequence[Case], structure: Structure, lasting: float = _LASTING) -> list[Case]:
+    """Parts of the recordings that last so long (s), spread evenly; a short recording is one part."""
     parts = []
     for case in cases:
         end = float(case.recording.time[-1])
-        if end <= _PARTS * _LASTING:
+        if end <= _PARTS * lasting:
             parts.append(case)
             continue
-        begins = np.linspace(0.0, end - _LASTING, _PARTS).tolist()
-        parts += [_part(case, structure, begin, begin + _LASTING) for begin in begins]
+        begins = np.linspace(0.0, end - lasting, _PARTS).tolist()
+        parts += [_part(case, structure, begin, begin + lasting) for begin in begins]
     return parts
 
 
@@ -257,15 +257,16 @@ def likeliest_teeth(
 def refine(cases: Sequence[Case], structure: Structure, begun: Sequence[Point], held: Mapping[str, float]) -> Point:
     """The maximum of the full likelihood from coarse points, teeth included where the structure has them."""
     mine = with_steps(cases, structure)
+    seen = _glimpses(mine, structure, _LONGER)
     free = tuple(n for n in free_parameters(structure) if n not in held)
 
     def likeliest(starts: Iterable[dict[str, float]]) -> Point:
         with ThreadPoolExecutor(2) as pool:
-            return min(pool.map(lambda v: _lengthened(mine, structure, v, free), starts), key=lambda p: p.deviance)
+            return min(pool.map(lambda v: _lengthened(seen, structure, v, free), starts), key=lambda p: p.deviance)
 
     best = likeliest(completed(structure, p.values) for p in begun)
     # Where the shortest memory is the best that there is, it is physics that is missing, not the right valley.
-    remembers = likelihood.memory_of(mine[0], best.density) > 1.1 * _shortest(mine)
+    remembers = likelihood.memory_of(seen[0], best.density) > 1.1 * _shortest(seen)
     if best.unit > _ROUGH and remembers and (bred := _bred(mine, best)):
         best = min(best, likeliest(bred), key=lambda p: p.deviance)
     return likelihood.fit(mine, structure, best.values, free, best.density)
