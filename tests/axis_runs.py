@@ -74,7 +74,7 @@ SANE: dict[str, tuple[float, float]] = {
     "unknown_drag_from": (-0.2, 0.0),
     "unknown_drag_span": (0.3, 1.0),
     "unknown_angle_order": (0.5, 4.0),
-    **dict.fromkeys(waves.names("unknown_gain", unknown_gain.HARMONICS), (-0.1, 0.1)),
+    **dict.fromkeys(waves.names("unknown_gain", unknown_gain.HARMONICS), (-0.04, 0.04)),
     "unknown_gain_order": (0.5, 4.0),
     "unknown_push_order": (0.5, 4.0),
 }

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from twin import axis, kernel
 from twin.axis import KNOWN, Structure
-from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS
+from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN
 from twin.effects.effect import SLOTS
 from twin.equations import trace
 from twin.writers import c, python
@@ -341,7 +341,9 @@ def test_derivative_is_that_of_the_computed_trajectory(effect):
     count = 120
     command = steps(rng, count, 30)
     command[0:30], command[30:60] = 45.0, -30.0
-    names = tuple(dict.fromkeys([*(p.name for p in effect.parameters), "viscous_friction"]))
+    # Of a curve's many values, all in the same law, every third.
+    looked = effect.parameters[:: 3 if effect.id in UNKNOWN else 1]
+    names = tuple(dict.fromkeys([*(p.name for p in looked), "viscous_friction"]))
     recording = drive(0.002 * np.arange(count), command, 0.0021)
     vector, start = kernel.vector(structure, values), kernel.start_state(0.0, 0.0, 0.0)
     found = kernel.predict_with_slopes(recording, vector, start, np.zeros((7, len(names))), names)

@@ -170,9 +170,9 @@ def search(
         if better is None or _ahead(better.point, best) <= 0.0:
             break
         # The rival had lost beside what was still missing then; now it is the one that fits, and more may show.
-        swaps, known = [Swap(better.rival, better.effect, best)], []
-        best = better.point
-        lesser = _fits(cases, best, held, _smaller(best.structure, first)) if lesser else []
+        ousted, known = best, []
+        best, lesser = _pruned(cases, better.point, begun, held)
+        swaps = [Swap(better.rival, better.effect, ousted)] if better.rival in best.structure else []
     return Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
 
 

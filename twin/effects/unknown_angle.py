@@ -36,4 +36,5 @@ EFFECT = Effect(
         "torque_ripple": "more than one turn: a ripple is one sine, several per turn",
         "unknown_position": "more than two turns: does it repeat?",
     },
+    substeps=2,
 )

@@ -36,4 +36,5 @@ EFFECT = Effect(
         "torque_ripple": "the same angles at several commands: cogging is there without any",
         "gravity": "rest at several angles: a gain does nothing without a command",
     },
+    substeps=2,
 )

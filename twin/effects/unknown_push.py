@@ -41,4 +41,5 @@ EFFECT = Effect(
         "unknown_gain": "the same angles at several commands: a gain's part grows with the command",
         "torque_ripple": "coast-downs: cogging acts there, too",
     },
+    substeps=2,
 )
