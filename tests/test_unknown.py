@@ -45,6 +45,11 @@ def fitted(case_key: str) -> tuple[Case, Point]:
     return case, likelihood.fit([case], STRUCTURE, VALUES, FREE)
 
 
+def with_curve(cases: list[Case], base: Point, term: Term) -> Point:
+    """The base and a term of no known shape, fitted together."""
+    return unknown.finish(cases, unknown.sketch(cases, base, term))
+
+
 def bump(at: np.ndarray) -> np.ndarray:
     """A torque over position of a shape that no page has."""
     return 3.0 * np.exp(-(((at - 1.0) / 0.8) ** 2))
@@ -162,7 +167,7 @@ def test_bump_over_position_is_found_and_drawn():
     assert before.share > 0.3
     assert before.p_value < 1e-2
     assert "position" in before.variables
-    found = unknown.fit_unknown([case], base, Term("position"))
+    found = with_curve([case], base, Term("position"))
     assert found.deviance < base.deviance - 200.0
     first, span = found.values["unknown_position_from"], found.values["unknown_position_span"]
     at = np.linspace(first, first + span, KNOTS)
@@ -195,7 +200,7 @@ def test_a_wave_is_drawn_with_its_order():
     case, base = fitted("cogging")
     before = unknown.leftover(case, base.structure, base.values)
     assert unknown.which_terms(before)[0] == Term("angle", 7.0)
-    found = unknown.fit_unknown([case], base, Term("angle", 7.0))
+    found = with_curve([case], base, Term("angle", 7.0))
     assert found.values["unknown_angle_order"] == 7.0
     assert found.values["unknown_angle_sin_1"] == pytest.approx(1.5, abs=0.15)
     others = [v for n, v in found.values.items() if n.startswith("unknown_angle_") and n[-1] in "23456"]
@@ -206,12 +211,12 @@ def test_friction_that_falls_with_time_is_found_and_drawn():
     case, base = fitted("warming")
     before = unknown.leftover(case, base.structure, base.values)
     assert Term("drag") in unknown.which_terms(before)
-    found = unknown.fit_unknown([case], base, Term("drag"))
+    found = with_curve([case], base, Term("drag"))
     drawn = np.array([found.values[n] for n in names("unknown_drag")])
     truth = np.array([WARMING[n] for n in names("unknown_drag")])
     # What is constant in it is the viscous friction's.
     assert drawn + found.values["viscous_friction"] == pytest.approx(truth + VALUES["viscous_friction"], abs=0.15)
-    other = unknown.fit_unknown([case], base, Term("time"))
+    other = with_curve([case], base, Term("time"))
     assert found.deviance < min(base.deviance, other.deviance) - 100.0
 
 
@@ -234,9 +239,25 @@ def test_what_has_no_name_wins_where_the_names_do_nothing_beside_it(key, name, t
         free = identify.free_parameters(structure)
         last = likelihood.climb([mine], structure, identify.completed(structure, first.values), first.density, free)
         assert compare.earns(first, last)
-    nameless = unknown.fit_unknown([case], first, term)
+    nameless = with_curve([case], first, term)
     found = extend.Search(first, last, (), (case,))
     assert extend._outdone(found, nameless) is outdone
+
+
+@pytest.mark.parametrize(
+    ("term", "travel", "order"),
+    [
+        (Term("push", 8.0), 3.5, 8.0),  # a wave that was seen to repeat on less than a turn
+        (Term("gain"), 9.0, 1.0),
+        (Term("gain"), 0.5, 2.0 * np.pi / 0.75),  # what changes along a short travel need not repeat on it
+    ],
+)
+def test_a_wave_keeps_its_order_on_a_short_travel(term, travel, order):
+    rng = np.random.default_rng(6)
+    means = {"position": np.linspace(0.0, travel, 400), "input": rng.uniform(-50.0, 50.0, 400)}
+    start, free = unknown._first_waves(means | {"torque": rng.standard_normal(400)}, term, VALUES)
+    assert start[f"unknown_{term.kind}_order"] == pytest.approx(order, rel=1e-3)
+    assert set(start) - set(free) == {f"unknown_{term.kind}_order"}
 
 
 def left(share: float, p_value: float, size: float) -> unknown.Leftover:
@@ -274,13 +295,13 @@ def test_what_multiplies_the_command_is_found_and_drawn(key, term, name, size):
     assert unknown.is_left(before)
     assert before.variables == ("position", "input")
     assert term in unknown.which_terms(before)
-    found = unknown.fit_unknown([case], base, term)
+    found = with_curve([case], base, term)
     assert found.values[name] == pytest.approx(size, rel=0.1)
     nothing = set(found.free) - {name, *base.free}
     others = [found.values[n] for n in nothing]
     assert max(abs(v) for v in others) < 0.2 * size
     assert found.deviance < min(
-        unknown.fit_unknown([case], base, other).deviance for other in (Term("angle", term.order), Term("position"))
+        with_curve([case], base, other).deviance for other in (Term("angle", term.order), Term("position"))
     )
     after = unknown.leftover(case, found.structure, found.values)
     assert after.size < 0.4 * before.size

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from twin import identify, likelihood, locate
 from twin.axis import Structure
-from twin.effects import unknown_angle, unknown_gain, unknown_push, waves
+from twin.effects.catalogue import EFFECTS
 from twin.effects.knots import KNOTS, names
 from twin.likelihood import Case, Point
 from twin.locate import Missing
@@ -277,12 +277,8 @@ _HELD = {"velocity": "viscous_friction", "drag": "viscous_friction", "input": "i
 #: Kinds of term; each is the effect unknown_<kind>. A drag is viscous friction over time, a gain the motor's over its
 #: angle, a push a torque over the angle that differs with the command's sign.
 TERMS = ("position", "angle", "velocity", "input", "time", "drag", "gain", "push")
-#: Those of waves over the angle, and what these are called.
-_WAVES: Mapping[str, tuple[tuple[str, int], ...]] = {
-    "angle": (("unknown_angle", unknown_angle.HARMONICS),),
-    "gain": (("unknown_gain", unknown_gain.HARMONICS),),
-    "push": (("unknown_push_forward", unknown_push.HARMONICS), ("unknown_push_reverse", unknown_push.HARMONICS)),
-}
+#: Those of waves over the angle.
+_WAVES = ("angle", "gain", "push")
 #: So many travels make a wave's turn where the axis does not turn: what it is at one end it need not be at the other.
 _ROOM = 1.5
 #: Time that a knot must have seen, as a share of what it would have if all had the same.
@@ -311,22 +307,20 @@ def _first_waves(
     means: Mapping[str, FloatArray], term: Term, values: Mapping[str, float]
 ) -> tuple[dict[str, float], tuple[str, ...]]:
     """Values of the parameters of a term of waves to start from, and which of them are fitted."""
-    travel = float(np.ptp(means["position"]))
-    order = term.order if travel > _TURN else _TURN / (_ROOM * travel)
+    travel = max(float(np.ptp(means["position"])), 1e-9)
+    order = max(term.order, _TURN / (_ROOM * travel))
     phase, gain = order * means["position"], values["input_gain"]
     u = means["input"]
     ahead, behind = values.get("dead_band_forward", 0.0), values.get("dead_band_reverse", 0.0)
     over, under = u > ahead, u < -behind
     acting = np.where(over, u - ahead, np.where(under, u + behind, 0.0))
     weights = {"angle": (np.ones(len(u)),), "gain": (gain * acting,), "push": (gain * over, gain * under)}[term.kind]
-    free: list[str] = []
-    columns = []
-    for weight, (prefix, count) in zip(weights, _WAVES[term.kind], strict=True):
-        free += waves.names(prefix, count)
-        columns += [weight * f(k * phase) for k in range(1, count + 1) for f in (np.sin, np.cos)]
+    free = tuple(p.name for p in EFFECTS[f"unknown_{term.kind}"].parameters if p.estimated)
+    count = len(free) // (2 * len(weights))
+    columns = [w * f(k * phase) for w in weights for k in range(1, count + 1) for f in (np.sin, np.cos)]
     sizes = np.linalg.lstsq(np.column_stack(columns), _clipped(means["torque"]), rcond=None)[0]
     start = dict(zip(free, map(float, sizes), strict=True))
-    return {**start, f"unknown_{term.kind}_order": order}, tuple(free)
+    return {**start, f"unknown_{term.kind}_order": order}, free
 
 
 def _first_line(
@@ -384,11 +378,6 @@ def finish(cases: Sequence[Case], sketched: Point) -> Point:
     """The maximum from a sketch."""
     mine = identify.with_steps(cases, sketched.structure)
     return likelihood.climb(mine, sketched.structure, sketched.values, sketched.density, sketched.free)
-
-
-def fit_unknown(cases: Sequence[Case], base: Point, term: Term) -> Point:
-    """The base model and a term of no known shape, fitted together at the base's noise density."""
-    return finish(cases, sketch(cases, base, term))
 
 
 #: What can draw the tables that are not drawn by the term over their first variable.
