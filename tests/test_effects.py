@@ -19,7 +19,7 @@ from axis_runs import PAYLOAD, drive, run, sane, steps
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin import axis, kernel
+from twin import axis, equations, kernel
 from twin.axis import KNOWN, Structure
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN
 from twin.effects.effect import SLOTS
@@ -128,6 +128,11 @@ def test_a_drive_that_gives_more_or_less_on_the_way_is_asked_again_in_the_middle
     reads = {s.name for s in trace(effect.id).expression.free_symbols} & set(SLOTS["drive"][0])
     named = re.search(rf"if has\.{effect.id}:\n\s+varies = 1", inspect.getsource(axis.piece)) is not None
     assert named == (reads != {"command"})
+
+
+def test_what_counts_the_time_since_the_start_is_known():
+    counting = {i for i in EFFECTS if equations.timed(Structure.of([i]))}
+    assert counting == {"thermal_fade", "load_change", "periodic_disturbance", "unknown_time", "unknown_drag"}
 
 
 @every_effect

@@ -35,6 +35,7 @@ def test_a_long_recording_is_looked_at_in_parts_from_its_beginning_to_its_end() 
     np.testing.assert_array_equal(last, output[-len(last) :])
     short = identify.prepare([made(7000)], STRUCTURE)
     assert identify._glimpses(short, STRUCTURE) == short
+    assert identify._glimpses(whole, STRUCTURE.with_("thermal_fade")) == whole
 
 
 @pytest.mark.parametrize("gap", [0.022, 0.05])

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import sympy
 
+from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.effects.effect import SLOTS
 
@@ -42,3 +43,9 @@ def trace(effect_id: str) -> Trace:
     p = SimpleNamespace(**{s.name[2:]: s for s in parameters}, **others)
     expression = sympy.sympify(effect.law(q, p))
     return Trace(expression, arguments, parameters + tuple(others.values()))
+
+
+def timed(structure: Structure) -> bool:
+    """Whether some law counts the time since the start, itself or as heat: such a model cannot begin anywhere else."""
+    laws = (trace(e.id).expression for e in structure.effects if e.law is not None)
+    return any({"time", "heat"} & {s.name for s in law.free_symbols} for law in laws)

@@ -16,6 +16,7 @@ import numpy as np
 from twin import compare, experiment, explain, identify, likelihood, locate, meetings, package, screening, unknown
 from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN
+from twin.equations import timed
 from twin.errors import BadInput
 from twin.explain import Hypothesis, Round
 from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
@@ -43,7 +44,6 @@ SKETCHES, FAINT = 2, 0.1
 NARROW = 0.1
 #: Three time constants, but no less and no more than this, a free run starts ahead of what is judged, s.
 _LEAD = (1.0, 5.0)
-_TIMED = ("load_change", "thermal_fade", "periodic_disturbance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,9 +274,9 @@ def traces(
     """Both models beside each recording (its role, and from which moment on it is judged), free-running through their
     FMUs, from the recorded input or, `closed`, under the rig's own loop.
     """
-    timed = any(e in m.structure for m in (before, after) for e in _TIMED)
+    clocked = any(timed(m.structure) for m in (before, after))
     # Physics that depends on the time since the start must run from the start.
-    lead = math.inf if timed else float(np.clip(3.0 / max(after.values["viscous_friction"], 1e-9), *_LEAD))
+    lead = math.inf if clocked else float(np.clip(3.0 / max(after.values["viscous_friction"], 1e-9), *_LEAD))
     out = []
     with tempfile.TemporaryDirectory() as folder:
         fmus = [package.export(m, Path(folder) / f"{i}.fmu") for i, m in enumerate((before, after))]

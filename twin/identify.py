@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
-from twin import likelihood, meetings
+from twin import equations, likelihood, meetings
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
@@ -120,7 +120,10 @@ def _part(case: Case, structure: Structure, begin: float, end: float) -> Case:
 
 
 def _glimpses(cases: Sequence[Case], structure: Structure, lasting: float = _LASTING) -> list[Case]:
-    """Parts of the recordings that last so long (s), spread evenly; a short recording is one part."""
+    """Parts of the recordings that last so long (s), spread evenly; a short recording is one part, and so is any whose
+    physics counts the time since its start."""
+    if equations.timed(structure):
+        return list(cases)
     parts = []
     for case in cases:
         end = float(case.recording.time[-1])
