@@ -141,5 +141,16 @@ def test_a_weak_torque_shows_although_a_filter_that_forgets_fast_does_not_see_it
     before = explain.settle(cases, plain, values, {}, density)
     after = explain.settle(cases, plain.with_("spring"), {**before.values, **weak}, {}, density)
     assert compare.worth([before, after]) < explain.WHITE
-    assert not explain._prefers(cases, before, after, likelihood.density_of(cases[0], 0.025))
+    assert not explain._preferred(*explain._adapted(cases, before, after, likelihood.density_of(cases[0], 0.025)))
     assert explain.shows(cases, before, after)
+
+
+def test_what_a_law_misses_of_its_own_effect_is_no_other_effect() -> None:
+    """Beside an effect that does much, another has to do more than one that is there alone."""
+    nothing = np.eye(0)
+    begun = likelihood.Point(Structure.of(BASE), {}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing)
+    for much, needed in ((-100.0 * compare.LEAST, 1.5), (-800.0 * compare.LEAST, 3.5)):
+        less = replace(begun, deviance=much)
+        enough, scant = (replace(begun, deviance=much - times * compare.LEAST) for times in (needed, needed - 0.5))
+        assert extend._fair(enough, [less, begun], begun) is enough
+        assert extend._fair(scant, [less, begun], begun) is less

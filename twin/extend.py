@@ -32,6 +32,8 @@ Progress = Callable[[str, float], None]
 TRAINING = 0.7
 #: More effects than this at once are not looked for.
 MOST = 4
+#: By this share of what it does a law may miss what a machine does; deviance goes with the square.
+LAX = 0.05
 #: So often at most is more looked for after one effect has taken another's place.
 TURNS = 2
 #: Criteria that differ by less leave two explanations undecided: 73 % to 27 %.
@@ -86,9 +88,13 @@ def _fits(
     return [explain.settle(cases, s, point.values, held, point.density) for s in structures]
 
 
-def _fair(point: Point, lesser: Sequence[Point]) -> Point:
-    """The best of the lesser fits whose lack does not matter, or the point itself."""
-    fair = [q for q in lesser if not compare.earns(q, point)]
+def _fair(point: Point, lesser: Sequence[Point], begun: Point) -> Point:
+    """The best of the lesser fits whose lack does not matter, or the point itself.
+
+    What a law misses of what it stands for must not pass for another effect.
+    """
+    missed = LAX**2 * max(begun.deviance - point.deviance, 0.0)
+    fair = [q for q in lesser if not compare.earns(q, point, missed)]
     return min(fair, key=lambda q: compare.criterion(q, compare.worth([point])), default=point)
 
 
@@ -131,7 +137,7 @@ def _pruned(
     lesser: list[Point] = []
     while fewer := _smaller(best.structure, begun.structure):
         lesser = [*_fits(cases, best, held, fewer), begun]
-        less = _fair(best, lesser)
+        less = _fair(best, lesser, begun)
         if less is best:
             break
         best = less
