@@ -154,3 +154,21 @@ def test_what_a_law_misses_of_its_own_effect_is_no_other_effect() -> None:
         enough, scant = (replace(begun, deviance=much - times * compare.LEAST) for times in (needed, needed - 0.5))
         assert extend._fair(enough, [less, begun], begun) is enough
         assert extend._fair(scant, [less, begun], begun) is less
+
+
+def test_a_rival_stands_where_another_does_with_its_own_effect(monkeypatch) -> None:
+    """What both share is taken over; what each has alone is its own, and nothing of the other's comes along."""
+    base, nothing = Structure.of(BASE), np.eye(0)
+    plain = likelihood.Point(base, {"input_gain": 0.3, "backlash_gap": 0.02}, 1.0, (), 0.0, 1.0, nothing, [], nothing)
+    one = replace(plain, structure=base.with_("motor_lag"), values={**plain.values, "lag_time": 0.01})
+    other = replace(plain, structure=base.with_("input_delay"), values={"input_gain": 0.4, "delay": 0.02})
+
+    def settled(cases, structure, values, held, density):
+        return replace(one, structure=structure, values=values)
+
+    monkeypatch.setattr(explain, "settle", settled)
+    moved = explain._in_place_of(
+        (), explain.Hypothesis(("motor_lag",), one), explain.Hypothesis(("input_delay",), other), base, {}
+    )
+    assert moved.added == ("motor_lag",) and moved.point.structure == one.structure
+    assert moved.point.values == {"input_gain": 0.4, "backlash_gap": 0.02, "lag_time": 0.01}

@@ -118,6 +118,27 @@ def test_an_effect_that_came_along_with_another_stands_for_itself():
     assert [(h.added, behind) for h, behind in contest.rivals] == [(("load_dependent_friction",), -10.0)]
 
 
+def test_what_looked_better_than_the_winner_and_did_not_show_is_no_rival():
+    tried = {"spring": 1000.0, "load_change": 900.0, "gravity": 1010.0}
+    before, rivals = point(3000.0), tuple(Hypothesis((e,), point(c, e)) for e, c in tried.items())
+    contest = extend._contest([Round(before, rivals, 1.0)], Structure.of([*BASE, "spring"]), "spring")
+    assert [h.added for h, _ in contest.rivals] == [("gravity",)]
+
+
+@pytest.mark.parametrize(("reached", "shows", "kept"), [(995.0, True, 1), (995.0, False, 0), (2000.0, False, 1)])
+def test_a_rival_takes_the_place_only_of_what_it_shows_without(monkeypatch, reached, shows, kept):
+    """It may be better by the likelihood and still be the bounces' doing; far behind it need not be asked."""
+    before, last, rival = point(3000.0), point(1000.0, "spring"), point(reached, "gravity")
+    close = Round(before, (Hypothesis(("spring",), last), Hypothesis(("gravity",), point(1010.0, "gravity"))), 1.0)
+    asked = []
+    monkeypatch.setattr(extend, "plausible", lambda cases, p: True)
+    monkeypatch.setattr(extend.explain, "settle", lambda cases, structure, values, held, density: rival)
+    monkeypatch.setattr(extend.explain, "deepen", lambda cases, p, held: p)
+    monkeypatch.setattr(extend.explain, "shows", lambda cases, without, p: asked.append(without) or shows)
+    swaps = extend._swapped((), last, [before], [close], {})
+    assert len(swaps) == kept and asked == ([before] if reached < 1000.0 + UNSURE else [])
+
+
 def test_a_rattling_rig_is_said_to_hide_effects(monkeypatch):
     fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(0.2, 2.0, math.nan)}}
     for rough, rattles in ((0.5 * compare.LEAST, False), (2.0 * compare.LEAST, True)):

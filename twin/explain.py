@@ -15,6 +15,7 @@ their optimum before they are compared, so that a badly converged model makes no
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -36,6 +37,8 @@ SURVIVORS = 8
 NEAR, FAR = 4, 2
 #: Share of the best one's gain, and of what an effect must earn, from which on others are looked at more deeply.
 CLOSE, HOPE = 0.4, 0.25
+#: So many of the best take each other's place where the likelihood is rough.
+EACH = 3
 #: So often at most does a round begin again from a smaller model that its rivals have shown a better place.
 AGAIN = 3
 #: Memory of the filter that judges the first round, and the least of those that judge later ones, s.
@@ -253,6 +256,15 @@ def _instead(
     return Hypothesis((effect,), settle(cases, longer, begun, held, point.density))
 
 
+def _in_place_of(
+    cases: Sequence[Case], one: Hypothesis, other: Hypothesis, smaller: Structure, held: Mapping[str, float]
+) -> Hypothesis:
+    """The one with its own effect from where the other stands in everything that both share."""
+    shared = {p.name: other.point.values[p.name] for p in smaller.parameters if p.name in other.point.values}
+    own = one.point
+    return Hypothesis(one.added, settle(cases, own.structure, {**own.values, **shared}, held, own.density))
+
+
 def _tested(
     cases: Sequence[Case], before: Point, h: Hypothesis, held: Mapping[str, float]
 ) -> tuple[Point, bool]:  # fmt: skip
@@ -310,6 +322,11 @@ def compete(
         bar = before.deviance - hoped
         close = [h for h in sorted(best.values(), key=lambda h: h.deviance)[:NEAR] if h.deviance < bar]
         keep(list(pool.map(lambda h: Hypothesis(h.added, deepen(cases, h.point, held)), close)))
+        if unit >= WHITE:
+            # Where the likelihood is rough the one that ended in a better valley would win, whatever its effect.
+            leaders = sorted(best.values(), key=lambda h: h.deviance)[:EACH]
+            pairs = list(itertools.permutations([h for h in leaders if h.deviance < bar], 2))
+            keep(list(pool.map(lambda pair: _in_place_of(cases, pair[0], pair[1], structure, held), pairs)))
     ranked = sorted(best.values(), key=lambda h: compare.criterion(h.point, unit))
     sound = [h for h in ranked if plausible(cases, h.point)]
     rivals = [*sound, *(h for h in ranked if h not in sound)]

@@ -171,7 +171,7 @@ def search(
         begun = explain.settle(cases, first, start.values, held, best.density)
         best, lesser = _pruned(cases, best, begun, held)
         begun = min([begun, *(q for q in lesser if q.structure == begun.structure)], key=lambda p: p.deviance)
-        swaps = _swapped(cases, best, rounds, held)
+        swaps = _swapped(cases, best, lesser, rounds, held)
         better = max(swaps, key=lambda w: _ahead(w.point, best), default=None)
         if better is None or _ahead(better.point, best) <= 0.0:
             break
@@ -199,7 +199,8 @@ class Contest:
 def _contest(rounds: Sequence[Round], last: Structure, effect: str) -> Contest:
     """The last round that an effect of the last model won.
 
-    A rival that contains the effect and more does not deny it; one that is in the last model, too, took nothing away.
+    A rival that contains the effect and more does not deny it; one that is in the last model, too, took nothing away;
+    and what did not show has no share.
     """
     for this in reversed(rounds):
         own = {h.added[0]: compare.criterion(h.point, this.unit) for h in this.rivals if effect in h.point.structure}
@@ -207,13 +208,21 @@ def _contest(rounds: Sequence[Round], last: Structure, effect: str) -> Contest:
             # An effect that another one brought along stands for itself where it ran, too.
             best = own.get(effect, min(own.values()))
             others = [h for h in this.rivals if effect not in h.point.structure and h.added[0] not in last]
-            behind = tuple((h, compare.criterion(h.point, this.unit) - best) for h in others)
+            tried = [(h, compare.criterion(h.point, this.unit)) for h in others]
+            # What looked better than the winner was refused.
+            won = compare.criterion(this.rivals[0].point, this.unit)
+            behind = tuple((h, c - best) for h, c in tried if c >= won)
             return Contest(compare.criterion(this.before, this.unit) - best, behind)
     return Contest(0.0, ())
 
 
-def _swapped(cases: Sequence[Case], last: Point, rounds: Sequence[Round], held: Mapping[str, float]) -> list[Swap]:
-    """The last model with each effect exchanged for every rival that had come close to it."""
+def _swapped(
+    cases: Sequence[Case], last: Point, lesser: Sequence[Point], rounds: Sequence[Round], held: Mapping[str, float]
+) -> list[Swap]:  # fmt: skip
+    """The last model with each effect exchanged for every rival that had come close to it and shows in its place.
+
+    `lesser` are smaller models that the last one is held against.
+    """
     out = []
     for effect in last.structure.named:
         contest = _contest(rounds, last.structure, effect)
@@ -225,7 +234,10 @@ def _swapped(cases: Sequence[Case], last: Point, rounds: Sequence[Round], held: 
                 starts = ({**own.values, **last.values}, {**last.values, **own.values})
                 tried = [explain.settle(cases, other, values, held, last.density) for values in starts]
                 point = explain.deepen(cases, min(tried, key=lambda p: p.deviance), held)
-                if plausible(cases, point):
+                # What does not come close needs no test.
+                far = _ahead(last, point) > UNSURE
+                without = min((q for q in lesser if effect not in q.structure), key=lambda q: q.deviance, default=last)
+                if plausible(cases, point) and (far or explain.shows(cases, without, point)):
                     out.append(Swap(effect, h.added[0], point))
     return out
 
