@@ -31,7 +31,7 @@ from excitations import EXCITATIONS, FREE
 from mujoco_rig import TURN, Rig, draw_rig, simulate
 
 from twin import identify, likelihood
-from twin.identify import base_structure, free_parameters
+from twin.ready import base_structure, free_parameters
 from twin.recording import Recording
 from twin.two_stage import two_stage
 

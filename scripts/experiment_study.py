@@ -40,7 +40,7 @@ from excitations import Limits as Range
 from excitations import Signal, paper, rich
 from mujoco_rig import TURN, Concealed, Rig, draw_effect, draw_rig, simulate
 
-from twin import compare, explain, identify, likelihood
+from twin import ascent, compare, explain, likelihood, ready
 from twin.experiment import NEEDED, Limits, separate, sharpen
 from twin.finding import Experiment
 from twin.likelihood import Case, Point
@@ -128,9 +128,9 @@ def in_mesh(case: Case, point: Point) -> Case:
 
 def fitted(first: Case, recordings: Sequence[Recording], point: Point, *others: Point) -> Point:
     """The model refitted to the first recording and others, from its values or those it shares with other points."""
-    added = identify.with_steps(identify.prepare(recordings, point.structure), point.structure)
+    added = ready.with_steps(ready.prepare(recordings, point.structure), point.structure)
     added = [replace(in_mesh(c, point), reading_variance=first.reading_variance) for c in added]
-    cases = [*identify.with_steps([first], point.structure), *added]
+    cases = [*ready.with_steps([first], point.structure), *added]
     starts = [{n: p.values.get(n, v) for n, v in point.values.items()} for p in (point, *others)]
     tried = [explain.settle(cases, point.structure, v, {}, point.density) for v in starts]
     return min(tried, key=lambda p: p.deviance)
@@ -138,9 +138,9 @@ def fitted(first: Case, recordings: Sequence[Recording], point: Point, *others: 
 
 def smallest(first: Recording) -> tuple[list[Case], Point, Point]:
     """The base model of a recording, roughly and as structures compete with it, the way the tool comes to it."""
-    structure = identify.base_structure()
-    cases, rough = identify.start([first], structure, {})
-    cases, fine = identify.polish(cases, identify.refine(cases, structure, rough, {}))
+    structure = ready.base_structure()
+    cases, rough = ascent.start([first], structure, {})
+    cases, fine = ascent.polish(cases, ascent.refine(cases, structure, rough, {}))
     return cases, rough, explain.settle(cases, structure, fine.values, {}, explain.judged(cases, fine))
 
 
@@ -149,7 +149,7 @@ def smallest(first: Recording) -> tuple[list[Case], Point, Point]:
 
 def worths(recording: Recording, first: Case, point: Point) -> tuple[Array, Array]:
     """Of each stretch of a recording: slope (m, n) and information (m, n, n) about the free parameters."""
-    (case,) = identify.with_steps(identify.prepare([recording], point.structure), point.structure)
+    (case,) = ready.with_steps(ready.prepare([recording], point.structure), point.structure)
     case = replace(in_mesh(case, point), reading_variance=first.reading_variance)
     run = likelihood.innovations(case, point.structure, point.values, point.density, point.free)
     variance = run.variance * point.scale

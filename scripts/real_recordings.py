@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from twin import extend, fitting, identify, likelihood, package, phrases, recording
+from twin import extend, fitting, identify, likelihood, package, phrases, ready, recording
 from twin.axis import Structure
 from twin.finding import Diagnosis
 from twin.likelihood import Point
@@ -49,7 +49,7 @@ def _run(model: Model, recordings: Sequence[recording.Recording], closed: bool =
     found = []
     for r in recordings:
         case = likelihood.prepare(r, model.structure, closed)
-        (case,) = identify.with_steps([replace(case, start=package.start_of(r))], model.structure)
+        (case,) = ready.with_steps([replace(case, start=package.start_of(r))], model.structure)
         error = -likelihood.innovations(case, model.structure, model.values, 0.0).error
         found.append((r.name, error[own_loop(r).stamps] if closed else error))
     return found

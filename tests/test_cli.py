@@ -20,7 +20,7 @@ import pytest
 from example_diagnosis import example, model_of, recording_of
 
 from twin import cli, controller, extend, files, finding, fitting, model, package, pipeline
-from twin.identify import base_structure
+from twin.ready import base_structure
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 COMMANDS = ["run", "identify", "export", "update", "simulate", "diagnose", "control", "cosim", "check"]

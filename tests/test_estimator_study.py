@@ -17,7 +17,7 @@ import estimator_study
 from estimator_study import METHODS, Outcome, cell, main, truths
 from mujoco_rig import draw_rig
 
-from twin.identify import base_structure, free_parameters
+from twin.ready import base_structure, free_parameters
 
 
 def outcome(estimate: float, std: float, bound: float, parameter: str = "input_gain") -> Outcome:

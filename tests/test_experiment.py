@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin import experiment, identify, kernel, likelihood
+from twin import experiment, kernel, likelihood, ready
 from twin.axis import BASE, Structure
 from twin.errors import BadInput
 from twin.experiment import Limits, library, separate, sharpen
@@ -69,7 +69,7 @@ def fitted(recordings: list[Recording], *effects: str) -> tuple[Point, list[Case
     """Maximum likelihood at the noise density that was planted, the best of a few starts: gap crossings are kinks."""
     structure = structure_of(*effects)
     cases = [likelihood.prepare(r, structure) for r in recordings]
-    free = identify.free_parameters(structure)
+    free = ready.free_parameters(structure)
     starts = [{**values_of(*effects), "backlash_gap": gap, "motor_share": m} for gap, m in STARTS]
     points = [likelihood.climb(cases, structure, v, DENSITY, free) for v in starts]
     return min(points, key=lambda p: p.deviance), cases
@@ -182,7 +182,7 @@ def test_a_missing_reversal_is_asked_for_and_does_what_was_promised():
     first = played((), *steps(6.0, (20.0, 30.0, 0.0, 25.0)))
     structure = structure_of()
     case = likelihood.prepare(first, structure)
-    free = identify.free_parameters(structure)
+    free = ready.free_parameters(structure)
     point = likelihood.evaluate([case], structure, VALUES, DENSITY, free)
     designed = sharpen(point, [case], Limits(input=40.0, travel=np.inf))
     assert len(designed.time) and designed.input.min() < -10.0
@@ -208,7 +208,7 @@ def test_readings_count_for_less_where_the_motor_rattles_in_its_gap():
     structure = structure_of().with_("tooth_compliance")
     case = likelihood.prepare(played((), *steps()), structure)
     values = {**VALUES, "tooth_frequency": 100.0, "tooth_damping": 0.15}
-    point = likelihood.evaluate([case], structure, values, DENSITY, identify.free_parameters(structure))
+    point = likelihood.evaluate([case], structure, values, DENSITY, ready.free_parameters(structure))
     steady = rested(point, case, ((4.0, 30.0, 30.0),))
     rattle = rested(point, case, tuple((0.06, level, level) for level in (30.0, -30.0) * 33))
     assert np.mean(steady[500:]) < 1.5
@@ -220,7 +220,7 @@ def test_stiff_teeth_do_not_ring_up_in_the_design():
     structure = structure_of().with_("tooth_compliance")
     case = likelihood.prepare(played((), *steps()), structure)
     values = {**VALUES, "tooth_frequency": 299.0, "tooth_damping": 0.46}
-    point = likelihood.evaluate([case], structure, values, DENSITY, identify.free_parameters(structure))
+    point = likelihood.evaluate([case], structure, values, DENSITY, ready.free_parameters(structure))
     designed = sharpen(point, [case])
     assert len(designed.time) and len(designed.about) == 1
     bench = experiment._bench([point], [case], Limits())
@@ -235,7 +235,7 @@ def test_rigs_that_log_speed_get_an_experiment_too():
     truth = played(("coulomb_friction",), time, command)
     speed = replace(truth, output=np.gradient(truth.output, time), output_unit="rad/s", resolution=0.0)
     case = likelihood.prepare(speed, structure)
-    free = identify.free_parameters(structure)
+    free = ready.free_parameters(structure)
     density = likelihood.density_of(case, 0.1)
     point = likelihood.evaluate([case], structure, values_of("coulomb_friction"), density, free)
     designed = separate([point], [case])

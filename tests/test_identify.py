@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin import identify, likelihood
+from twin import ascent, identify, likelihood, ready
 from twin.recording import Recording
 
-STRUCTURE, COUNT = identify.base_structure(), 6e-4
+STRUCTURE, COUNT = ready.base_structure(), 6e-4
 VALUES = {
     "input_gain": 0.3, "viscous_friction": 3.0, "dead_band_forward": 5.0, "dead_band_reverse": 6.0,
     "backlash_gap": 0.03, "motor_share": 0.3, "friction_share": 0.6, "tooth_frequency": 80.0, "tooth_damping": 0.25,
@@ -26,25 +26,25 @@ def made(count: int) -> Recording:
 
 
 def test_a_long_recording_is_looked_at_in_parts_from_its_beginning_to_its_end() -> None:
-    whole = identify.prepare([made(30000)], STRUCTURE)
-    parts = identify._glimpses(whole, STRUCTURE)
+    whole = ready.prepare([made(30000)], STRUCTURE)
+    parts = ascent._glimpses(whole, STRUCTURE)
     assert len(parts) == 5 and {p.reading_variance for p in parts} == {whole[0].reading_variance}
     assert all(p.drive.time[0] == 0.0 and p.drive.time[-1] == pytest.approx(4.0, abs=0.003) for p in parts)
     first, last, output = parts[0].recording.output, parts[-1].recording.output, whole[0].recording.output
     np.testing.assert_array_equal(first, output[: len(first)])
     np.testing.assert_array_equal(last, output[-len(last) :])
-    short = identify.prepare([made(7000)], STRUCTURE)
-    assert identify._glimpses(short, STRUCTURE) == short
-    assert identify._glimpses(whole, STRUCTURE.with_("thermal_fade")) == whole
+    short = ready.prepare([made(7000)], STRUCTURE)
+    assert ascent._glimpses(short, STRUCTURE) == short
+    assert ascent._glimpses(whole, STRUCTURE.with_("thermal_fade")) == whole
 
 
 @pytest.mark.parametrize("gap", [0.022, 0.05])
 def test_a_memory_that_grows_leads_from_another_gap_and_other_teeth_to_the_truth(gap: float) -> None:
     """A climb with the memory at which all ends gets no further than a valley nearby."""
-    cases = identify.with_steps(identify.prepare([made(10000)], STRUCTURE), STRUCTURE)
-    free = identify.free_parameters(STRUCTURE)
+    cases = ready.with_steps(ready.prepare([made(10000)], STRUCTURE), STRUCTURE)
+    free = ready.free_parameters(STRUCTURE)
     apart = {"backlash_gap": gap, "motor_share": 0.3 * 0.03 / gap, "tooth_frequency": 120.0, "tooth_damping": 0.4}
-    point = identify._lengthened(cases, STRUCTURE, VALUES | apart, free)
+    point = ascent._lengthened(cases, STRUCTURE, VALUES | apart, free)
     assert point.values["backlash_gap"] == pytest.approx(VALUES["backlash_gap"], rel=0.03)
     assert point.values["tooth_frequency"] == pytest.approx(VALUES["tooth_frequency"], rel=0.05)
     direct = likelihood.climb(cases, STRUCTURE, VALUES | apart, point.density, free)
@@ -52,13 +52,13 @@ def test_a_memory_that_grows_leads_from_another_gap_and_other_teeth_to_the_truth
 
 
 def test_the_way_is_found_in_parts_and_ends_with_all_of_a_recording(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(identify, "_LONGER", 1.5)
-    cases, begun = identify.start([made(10000)], STRUCTURE, {})
+    monkeypatch.setattr(ascent, "_LONGER", 1.5)
+    cases, begun = ascent.start([made(10000)], STRUCTURE, {})
     ways = []
     monkeypatch.setattr(
-        identify, "_lengthened", lambda seen, *more, way=identify._lengthened: ways.append(seen) or way(seen, *more)
+        ascent, "_lengthened", lambda seen, *more, way=ascent._lengthened: ways.append(seen) or way(seen, *more)
     )
-    point = identify.refine(cases, STRUCTURE, begun, {})
+    point = ascent.refine(cases, STRUCTURE, begun, {})
     assert all(len(seen) == 5 and seen[0].drive.time[-1] < 1.6 for seen in ways)
     assert point.values["input_gain"] == pytest.approx(VALUES["input_gain"], rel=1e-3)
     assert point.values["backlash_gap"] == pytest.approx(VALUES["backlash_gap"], rel=0.02)
@@ -70,10 +70,10 @@ def test_a_linear_axis_is_the_same_rig_seen_at_a_pinion() -> None:
     sled = replace(turning, output=radius * turning.output, output_unit="m", resolution=radius * COUNT)
     rigid, found = STRUCTURE.without("tooth_compliance"), []
     for recording, length in ((turning, 1.0), (sled, radius)):
-        cases, points = identify.start([recording], rigid, {})
+        cases, points = ascent.start([recording], rigid, {})
         known = VALUES | {"input_gain": 0.3 * length, "backlash_gap": 0.03 * length}
-        bred = identify._bred(
-            identify.with_steps(cases, STRUCTURE), replace(points[0], structure=STRUCTURE, values=known)
+        bred = ascent._bred(
+            ready.with_steps(cases, STRUCTURE), replace(points[0], structure=STRUCTURE, values=known)
         )
         gaps = [v["backlash_gap"] for v in (*(p.values for p in points), *bred)]
         gains = [p.values["input_gain"] for p in points]
@@ -82,16 +82,16 @@ def test_a_linear_axis_is_the_same_rig_seen_at_a_pinion() -> None:
 
 
 def test_from_where_no_slope_leads_to_the_truth_breeding_does() -> None:
-    cases = identify.with_steps(identify.prepare([made(7000)], STRUCTURE), STRUCTURE)
-    free = identify.free_parameters(STRUCTURE)
+    cases = ready.with_steps(ready.prepare([made(7000)], STRUCTURE), STRUCTURE)
+    free = ready.free_parameters(STRUCTURE)
     apart = {"backlash_gap": 0.012, "motor_share": 0.75, "tooth_frequency": 120.0, "tooth_damping": 0.4}
-    astray = identify._lengthened(cases, STRUCTURE, VALUES | apart, free)
+    astray = ascent._lengthened(cases, STRUCTURE, VALUES | apart, free)
     assert astray.values["backlash_gap"] < 0.5 * VALUES["backlash_gap"]
-    bred = identify._bred(cases, astray)
+    bred = ascent._bred(cases, astray)
     for i, one in enumerate(bred):
         assert likelihood.within_bounds(one)
-        assert all(max(abs(np.log(one[n] / other[n])) for n in identify._RANGES) > 0.09 for other in bred[:i])
-    found = min((identify._lengthened(cases, STRUCTURE, v, free) for v in bred), key=lambda p: p.deviance)
+        assert all(max(abs(np.log(one[n] / other[n])) for n in ascent._RANGES) > 0.09 for other in bred[:i])
+    found = min((ascent._lengthened(cases, STRUCTURE, v, free) for v in bred), key=lambda p: p.deviance)
     assert found.deviance < astray.deviance - 100.0
     assert found.values["backlash_gap"] == pytest.approx(VALUES["backlash_gap"], rel=0.05)
 

@@ -11,7 +11,7 @@ import pytest
 from axis_runs import run, steps
 from scipy.optimize import lsq_linear
 
-from twin import identify, kernel, likelihood
+from twin import identify, kernel, likelihood, ready
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.likelihood import Case, Point
@@ -133,13 +133,13 @@ HARD = {"tooth_frequency": 300.0, "tooth_damping": 2.0, "motor_share": 0.05}
 def test_a_motor_that_rattles_makes_the_likelihood_rough_and_the_errors_wide(
     values: dict[str, float], hold: int, rough: bool
 ) -> None:
-    structure, count = identify.base_structure(), 6e-4
+    structure, count = ready.base_structure(), 6e-4
     time, duty = 0.002 * np.arange(6000), steps(np.random.default_rng(1), 6000, hold, 40.0)
     read = count * np.round(run(structure, values, time, duty)[0] / count)
     recording = Recording("made", time, duty, read, "%", "rad", count)
     cases = [likelihood.prepare(recording, structure)]
     density = likelihood.density_of(cases[0], 0.1)
-    point = likelihood.climb(cases, structure, values, density, identify.free_parameters(structure))
+    point = likelihood.climb(cases, structure, values, density, ready.free_parameters(structure))
     found = identify.roughness(cases, point)
     assert found > 100.0 if rough else found < 1.0
     least = likelihood.robust_covariance(cases, point)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin import identify, kernel, likelihood
+from twin import kernel, likelihood, ready
 from twin.axis import Structure
 from twin.likelihood import Case
 from twin.recording import Loop, Recording
@@ -58,7 +58,7 @@ def test_a_point_is_the_same_in_pieces(monkeypatch: pytest.MonkeyPatch, ahead: b
         spread = likelihood.robust_covariance(cases, point)
         return [np.array([point.deviance, point.scale]), point.normal, point.gradient, spread]
 
-    cases = identify.prepare([made(), made(3000)], STRUCTURE)
+    cases = ready.prepare([made(), made(3000)], STRUCTURE)
     density = likelihood.density_of(cases[0], 0.05)
     if ahead:
         cases = [likelihood.ahead(c, density, 1.0) for c in cases]

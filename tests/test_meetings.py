@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin import identify, kernel, likelihood, meetings
+from twin import kernel, likelihood, meetings, ready
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.likelihood import Case, Point
@@ -50,7 +50,7 @@ def shaken(duty: np.ndarray, seed: int, size: float = 1.0) -> tuple[Case, np.nda
 
 def at_truth(case: Case) -> Point:
     density = likelihood.best_density([case], STRUCTURE, VALUES)
-    return likelihood.evaluate([case], STRUCTURE, VALUES, density, identify.free_parameters(STRUCTURE))
+    return likelihood.evaluate([case], STRUCTURE, VALUES, density, ready.free_parameters(STRUCTURE))
 
 
 def test_where_noise_decides_the_moment_nothing_is_judged():

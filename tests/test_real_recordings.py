@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import manifests
 import real_recordings
 
-from twin import extend, fitting, identify, kernel, likelihood, recording, screening
+from twin import extend, fitting, kernel, likelihood, ready, recording, screening
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES
 from twin.extend import Search
@@ -82,7 +82,7 @@ def test_one_sensor_has_one_noise_however_quick_the_motion() -> None:
     structure = Structure.of(["inertia", "viscous_friction"])
     alone = [likelihood.prepare(r, structure).reading_variance for r in recordings]
     assert alone[1] > 10.0 * alone[0]
-    together = identify.prepare(recordings, structure)
+    together = ready.prepare(recordings, structure)
     assert [c.reading_variance for c in together] == pytest.approx([count**2 / 12.0] * 2, rel=0.5)
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from axis_runs import run, steps
 
-from twin import compare, explain, extend, identify, kernel, likelihood, meetings
+from twin import compare, explain, extend, kernel, likelihood, meetings, ready
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.plausibility import plausible
@@ -30,12 +30,12 @@ def test_candidates_that_a_linear_axis_has_not_are_not_tried() -> None:
 def test_an_elastic_joint_and_teeth_are_one_spring() -> None:
     """Where one takes the other's place it is as stiff, within its bounds."""
     joint = {"joint_frequency": 30.0, "joint_damping": 0.2}
-    base = identify.with_teeth(Structure.of(BASE))
+    base = ready.with_teeth(Structure.of(BASE))
     for frequency, teeth in ((38.0, 40.0), (12.0, 40.0), (39.9, 40.0)):
-        found = identify.completed(base, joint | {"joint_frequency": frequency})
+        found = ready.completed(base, joint | {"joint_frequency": frequency})
         assert (found["tooth_frequency"], found["tooth_damping"]) == (teeth, 0.2)
     known = {"tooth_frequency": 90.0, "tooth_damping": 0.1}
-    assert identify.completed(base, joint | known)["tooth_frequency"] == 90.0
+    assert ready.completed(base, joint | known)["tooth_frequency"] == 90.0
     _, hardest_joint = likelihood.bounds_of("joint_frequency")
     softest_teeth, _ = likelihood.bounds_of("tooth_frequency")
     assert hardest_joint == softest_teeth
@@ -106,7 +106,7 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
     ):
         structure = Structure.of([*BASE, effect])
         cases = [likelihood.prepare(turning, structure)]
-        values = identify.completed(structure, {})
+        values = ready.completed(structure, {})
         for value, right in ((kept, True), (bent, False)):
             point = likelihood.evaluate(cases, structure, {**values, name: value}, 1.0)
             assert plausible(cases, point) is right, (effect, value)
@@ -117,7 +117,7 @@ def test_where_a_recording_begins_is_no_stop() -> None:
     rising = Recording("rising", time, np.full(2500, 30.0), 3.0 * (1.0 - np.cos(time)), "%", "rad", 1e-4)
     structure = Structure.of([*BASE, "end_stop"])
     cases = [likelihood.prepare(rising, structure)]
-    values = identify.completed(structure, {})
+    values = ready.completed(structure, {})
     for name, value, right in (
         ("stop_upper", 5.99, True), ("stop_lower", 0.001, False), ("stop_lower", -1.0, True), ("stop_upper", 7.0, True),
     ):  # fmt: skip

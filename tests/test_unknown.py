@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin import compare, extend, identify, likelihood, locate, unknown
+from twin import compare, extend, likelihood, locate, ready, unknown
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, UNKNOWN
 from twin.effects.knots import KNOTS, line, names
@@ -234,10 +234,10 @@ def test_what_has_no_name_wins_where_the_names_do_nothing_beside_it(key, name, t
     case, first = fitted(key)
     last = first
     if name:
-        (mine,) = identify.with_steps([case], STRUCTURE.with_(name))
+        (mine,) = ready.with_steps([case], STRUCTURE.with_(name))
         structure = STRUCTURE.with_(name)
-        free = identify.free_parameters(structure)
-        last = likelihood.climb([mine], structure, identify.completed(structure, first.values), first.density, free)
+        free = ready.free_parameters(structure)
+        last = likelihood.climb([mine], structure, ready.completed(structure, first.values), first.density, free)
         assert compare.earns(first, last)
     nameless = with_curve([case], first, term)
     found = extend.Search(first, last, (), (case,))

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import compare, identify, likelihood, meetings, screening
+from twin import ascent, compare, identify, likelihood, meetings, ready, screening
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.likelihood import Case, Point
@@ -64,14 +64,14 @@ class Hypothesis:
 
 
 def _climb(cases: Sequence[Case], base: Point, entry: Entry) -> Hypothesis:
-    mine = identify.with_steps(cases, entry.structure)
+    mine = ready.with_steps(cases, entry.structure)
     found = likelihood.climb(mine, entry.structure, entry.values, base.density, entry.free, rounds=6, tolerance=1.0)
     return Hypothesis((entry.effect,), found)
 
 
 def contest(cases: Sequence[Case], base: Point, candidates: Sequence[str]) -> list[Hypothesis]:
     """The candidates that promise most beside the base, after a few steps; the best first."""
-    mine = identify.with_steps(cases, base.structure)
+    mine = ready.with_steps(cases, base.structure)
     trials = screening.grids(mine, base.structure, base.values)
     with ThreadPoolExecutor(2) as pool:
         entries = sorted(
@@ -103,16 +103,16 @@ def settle(
     cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float], density: float
 ) -> Point:
     """The maximum near these values at a noise density, with everything free that is not held."""
-    structure = identify.with_teeth(structure)
-    mine = identify.with_steps(cases, structure)
-    free = tuple(n for n in identify.free_parameters(structure) if n not in held)
-    full = identify.completed(structure, values) | dict(held)
+    structure = ready.with_teeth(structure)
+    mine = ready.with_steps(cases, structure)
+    free = tuple(n for n in ready.free_parameters(structure) if n not in held)
+    full = ready.completed(structure, values) | dict(held)
     return likelihood.climb(mine, structure, full, density, free, tolerance=0.2)
 
 
 def rejudged(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
     """The maximum at the noise density that the model asks for, now that it lacks less."""
-    mine = identify.with_steps(cases, point.structure)
+    mine = ready.with_steps(cases, point.structure)
     likeliest = likelihood.best_density(mine, point.structure, point.values, around=point.density)
     density = min(likelihood.density_of(cases[0], SHORT), likeliest)
     if 1.0 / ALIKE < density / point.density < ALIKE:
@@ -124,9 +124,9 @@ def retoothed(
     cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float], density: float
 ) -> Point:
     """The maximum near these values with teeth that are looked for anew."""
-    structure = identify.with_teeth(structure)
-    mine = identify.with_steps(cases, structure)
-    begun = identify.likeliest_teeth(mine, structure, identify.completed(structure, values), density)
+    structure = ready.with_teeth(structure)
+    mine = ready.with_steps(cases, structure)
+    begun = ascent.likeliest_teeth(mine, structure, ready.completed(structure, values), density)
     return settle(cases, structure, begun, held, density)
 
 
@@ -138,19 +138,19 @@ def relocated(cases: Sequence[Case], point: Point, held: Mapping[str, float]) ->
     if "backlash" not in point.structure or "joint_elasticity" in point.structure:
         return point
     rigid = point.structure.without("tooth_compliance")
-    loose = identify.with_steps(cases, rigid)
+    loose = ready.with_steps(cases, rigid)
 
     def looked(memory: float) -> Point:
-        rough = identify.coarse(loose, rigid, identify.completed(rigid, point.values), held, memory)
+        rough = ascent.coarse(loose, rigid, ready.completed(rigid, point.values), held, memory)
         return retoothed(cases, point.structure, {**point.values, **rough.values}, held, point.density)
 
     with ThreadPoolExecutor(2) as pool:
-        return min([point, *pool.map(looked, identify.MEMORIES)], key=lambda p: p.deviance)
+        return min([point, *pool.map(looked, ascent.MEMORIES)], key=lambda p: p.deviance)
 
 
 def deepen(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
     """The point, or a better one by way of the noise density that the recording asks for, where valleys are wider."""
-    mine = identify.with_steps(cases, point.structure)
+    mine = ready.with_steps(cases, point.structure)
     likeliest = likelihood.fit(mine, point.structure, point.values, point.free, point.density, rounds=12)
     other = settle(cases, point.structure, likeliest.values, held, point.density)
     return min(point, other, key=lambda p: p.deviance)
@@ -158,7 +158,7 @@ def deepen(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Po
 
 def sharpened(cases: Sequence[Case], point: Point) -> Point:
     """The point, with a longer memory where the recording asks for one: the model then is right for longer."""
-    mine = identify.with_steps(cases, point.structure)
+    mine = ready.with_steps(cases, point.structure)
     density = likelihood.best_density(mine, point.structure, point.values, around=point.density)
     if density > 0.8 * point.density:
         return point
@@ -178,7 +178,7 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
     """
     if not compare.earns(before, after, max(identify.roughness(cases, before), identify.roughness(cases, after))):
         return False
-    foreseen = meetings.foreseeable(identify.with_steps(cases, after.structure), after)
+    foreseen = meetings.foreseeable(ready.with_steps(cases, after.structure), after)
     unsure = any(c.unforeseen is not None for c in foreseen)
     if unsure and not _preferred(*_adapted(foreseen, before, after, before.density)):
         return False
@@ -206,7 +206,7 @@ def _adapted(cases: Sequence[Case], before: Point, after: Point, density: float)
     """
 
     def adapted(point: Point, values: Mapping[str, float]) -> Point:
-        mine = identify.with_steps(cases, point.structure)
+        mine = ready.with_steps(cases, point.structure)
         begun = {n: values.get(n, v) for n, v in point.values.items()}
         return likelihood.climb(mine, point.structure, begun, density, point.free, rounds=4, tolerance=1.0)
 
@@ -247,9 +247,9 @@ def _instead(
     cases: Sequence[Case], winner: Hypothesis, structure: Structure, effect: str, held: Mapping[str, float]
 ) -> Hypothesis:
     """The structure with the effect, from where the winner stands."""
-    longer, point = identify.with_teeth(structure.with_(effect)), winner.point
-    mine = identify.with_steps(cases, longer)
-    known = identify.completed(longer, point.values)
+    longer, point = ready.with_teeth(structure.with_(effect)), winner.point
+    mine = ready.with_steps(cases, longer)
+    known = ready.completed(longer, point.values)
     own = {n: v for n, v in screening.neutral(effect).items() if n not in point.values}
     trials = [{**known, **own, **t} for t in screening.grids(mine, point.structure, point.values)[effect]]
     begun = min(trials, key=lambda v: likelihood.evaluate(mine, longer, v, point.density).deviance)

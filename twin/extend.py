@@ -13,7 +13,20 @@ from pathlib import Path
 
 import numpy as np
 
-from twin import compare, experiment, explain, identify, likelihood, locate, meetings, package, screening, unknown
+from twin import (
+    ascent,
+    compare,
+    experiment,
+    explain,
+    identify,
+    likelihood,
+    locate,
+    meetings,
+    package,
+    ready,
+    screening,
+    unknown,
+)
 from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN
 from twin.equations import timed
@@ -154,8 +167,8 @@ def search(
     """Add effects one at a time for as long as each earns its place."""
     tell = progress or (lambda sentence, share: None)
     tell("fitting the first model", 0.0)
-    cases, rough = identify.start(recordings, first, held)
-    polished, fine = identify.polish(cases, identify.refine(cases, identify.with_teeth(first), rough, held))
+    cases, rough = ascent.start(recordings, first, held)
+    polished, fine = ascent.polish(cases, ascent.refine(cases, ready.with_teeth(first), rough, held))
     # What a model without the right physics cannot foresee may be what is looked for.
     cases = meetings.judged_throughout(polished)
     best = explain.settle(cases, first, fine.values, held, explain.judged(cases, fine))
@@ -444,15 +457,15 @@ def _beside(found: Search, nameless: Point) -> Point:
     both = nameless.structure.with_(*last.structure.ids)
     if both == nameless.structure:
         return nameless
-    mine, free = identify.with_steps(found.cases, both), tuple(dict.fromkeys((*nameless.free, *kept)))
+    mine, free = ready.with_steps(found.cases, both), tuple(dict.fromkeys((*nameless.free, *kept)))
     starts = ({**last.values, **nameless.values}, {**nameless.values, **last.values})
-    fits = (likelihood.climb(mine, both, identify.completed(both, v), nameless.density, free) for v in starts)
+    fits = (likelihood.climb(mine, both, ready.completed(both, v), nameless.density, free) for v in starts)
     return min(fits, key=lambda p: p.deviance)
 
 
 def _next(found: Search) -> Experiment:
     """The input that would tell the closest rivals apart, or fix what is known worst."""
-    cases = identify.with_steps(found.cases, found.last.structure)
+    cases = ready.with_steps(found.cases, found.last.structure)
     close = [w.point for w in found.swaps if _ahead(found.last, w.point) < UNSURE]
     near = sorted(close, key=lambda p: _ahead(found.last, p))[:1]
     try:
@@ -505,14 +518,14 @@ def diagnose(
     tell("fitting both models to the end", 0.87)
     # Of a model without the right physics nobody can say what it would have to foresee.
     first_point, last_point = (explain.sharpened(found.cases, p) for p in (found.first, found.last))
-    judged, last_point = identify.foreseen(identify.with_steps(found.cases, last_point.structure), last_point)
+    judged, last_point = ascent.foreseen(ready.with_steps(found.cases, last_point.structure), last_point)
     before = after = identify.to_model(judged, last_point, train, held)
     if first_point.structure == last_point.structure:
         first_point = last_point
     else:
         before = identify.to_model(found.cases, first_point, train, held)
     missing = [
-        locate.missing_torque(identify.with_steps([case], p.structure)[0], p.structure, p.values)
+        locate.missing_torque(ready.with_steps([case], p.structure)[0], p.structure, p.values)
         for p in (first_point, last_point)
     ]
     shapes = [tuple(locate.shapes(m)) for m in missing]
@@ -520,7 +533,7 @@ def diagnose(
     tell("checking on held-out data through the FMU", 0.9)
     runs = [*(("train", r, 0.0) for r in train), *(("holdout", r, since) for r, since in held_out)]
     shown = traces(before, after, runs, closed)
-    white = [_white(identify.with_steps(found.cases, p.structure), p) for p in (first_point, last_point)]
+    white = [_white(ready.with_steps(found.cases, p.structure), p) for p in (first_point, last_point)]
     fit = {
         role: {
             when: _fitness([t for t in shown if t.role == role], when, white[i] if role == "train" else math.nan)
@@ -584,7 +597,7 @@ def _unseen(found: Search, held_out: Sequence[tuple[Recording, float]]) -> list[
     last = found.last
     lacking = []
     for recording, since in held_out:
-        (case,) = identify.prepare([driven(recording)], last.structure)
+        (case,) = ready.prepare([driven(recording)], last.structure)
         left = unknown.leftover(case, last.structure, last.values, since)
         if unknown.is_left(left):
             lacking.append((recording, since, left))

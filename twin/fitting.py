@@ -8,7 +8,7 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from twin import identify, kernel, two_stage
+from twin import identify, kernel, ready, two_stage
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.errors import BadInput
@@ -35,7 +35,7 @@ def first_structure(
     Raises BadInput.
     """
     named = [_known_effect(e, f"{rig.name} [structure]") for e in rig.effects]
-    structure = identify.base_structure().with_(*named) if given is None else given
+    structure = ready.base_structure().with_(*named) if given is None else given
     structure = structure.with_(*(_known_effect(e, "--with") for e in more))
     for effect in fewer:
         if _known_effect(effect, "--without") == "inertia":
@@ -57,7 +57,7 @@ def compile_kernel(tell: Progress) -> None:
     drive = kernel.Drive(
         np.arange(count, dtype=float), ramp, ramp.copy(), False, kernel.known_vector({}), np.zeros(5), 0.5
     )
-    everything = identify.base_structure()
+    everything = ready.base_structure()
     p = kernel.vector(everything, {q.name: q.start for q in everything.parameters})
     start = kernel.start_state(0.0, 0.0, 0.0)
     kernel.predict_with_slopes(drive, p, start, np.zeros((len(start), 1)), ("input_gain",))

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import identify, likelihood, locate
+from twin import likelihood, locate, ready
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.likelihood import Case, Point
@@ -298,9 +298,9 @@ def extended(structure: Structure, effect: str) -> Structure:
 def enter(cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]]) -> Entry:
     """The candidate where it promises most beside the base."""
     structure = extended(base.structure, effect)
-    mine = identify.with_steps(cases, structure)
-    held = set(identify.free_parameters(base.structure)) - set(base.free)
-    free = tuple(n for n in identify.free_parameters(structure) if n not in held)
+    mine = ready.with_steps(cases, structure)
+    held = set(ready.free_parameters(base.structure)) - set(base.free)
+    free = tuple(n for n in ready.free_parameters(structure) if n not in held)
     if effect in _DIRECT:
         starts = _direct_starts(mine, base, effect, trials, free)
     else:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import identify, likelihood, locate
+from twin import likelihood, locate, ready
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.effects.knots import KNOTS, names
@@ -234,7 +234,7 @@ def examine(missing: Missing, seed: int = 1) -> Leftover:
 
 def leftover(case: Case, structure: Structure, values: Mapping[str, float], since: float = 0.0) -> Leftover:
     """Is there still structure in what a fitted model lacks, from `since` (s) on, that depends on the state?"""
-    (mine,) = identify.with_steps([case], structure)
+    (mine,) = ready.with_steps([case], structure)
     return examine(locate.missing_torque(mine, structure, values).since(since))
 
 
@@ -361,7 +361,7 @@ def sketch(cases: Sequence[Case], base: Point, term: Term) -> Point:
     """The base model and a term of no known shape, after a few steps at the base's noise density."""
     kind = term.kind
     structure = base.structure.with_(f"unknown_{kind}")
-    mine = identify.with_steps(cases, structure)
+    mine = ready.with_steps(cases, structure)
     parts = [_averages(locate.missing_torque(c, base.structure, base.values)) for c in mine]
     means = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
     first = _first_waves if kind in _WAVES else _first_line
@@ -376,7 +376,7 @@ def sketch(cases: Sequence[Case], base: Point, term: Term) -> Point:
 
 def finish(cases: Sequence[Case], sketched: Point) -> Point:
     """The maximum from a sketch."""
-    mine = identify.with_steps(cases, sketched.structure)
+    mine = ready.with_steps(cases, sketched.structure)
     return likelihood.climb(mine, sketched.structure, sketched.values, sketched.density, sketched.free)
 
 
