@@ -16,13 +16,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import manifests
 import real_recordings
 
-from twin import extend, fitting, kernel, likelihood, ready, recording, screening
+from twin import fitting, kernel, likelihood, ready, recording, screening, search
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES
-from twin.extend import Search
 from twin.model import Model
 from twin.plausibility import plausible
 from twin.recording import Loop, Recording
+from twin.search import Search
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -131,7 +131,7 @@ def quick(name: str, candidates: Sequence[str] = CANDIDATES) -> Search:
     chosen = real_recordings.SETS[name]
     recordings, rig = real_recordings.recordings_of(name, DATA, quick=True)
     train = [r for r in recordings if r.role == "train"]
-    return extend.search(train, fitting.first_structure(rig, chosen.more, chosen.fewer), {}, candidates)
+    return search.find(train, fitting.first_structure(rig, chosen.more, chosen.fewer), {}, candidates)
 
 
 @real

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from axis_runs import run, steps
 
-from twin import compare, explain, extend, kernel, likelihood, meetings, ready
+from twin import compare, explain, kernel, likelihood, meetings, ready, search
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.plausibility import plausible
@@ -22,7 +22,7 @@ def test_candidates_that_a_linear_axis_has_not_are_not_tried() -> None:
     p = kernel.vector(structure, {"input_gain": 0.02, "viscous_friction": 2.0})
     read = kernel.predict(likelihood.prepare(blank, structure).drive, p, kernel.start_state(0.0, 0.0, 0.0)).reading
     sled = Recording("sled", time, duty, 1e-5 * np.round(read / 1e-5), "%", "m", 1e-5)
-    found = extend.search([sled], structure, {}, ("gravity", "encoder_eccentricity"))
+    found = search.find([sled], structure, {}, ("gravity", "encoder_eccentricity"))
     assert found.rounds == () and found.last.structure == structure
     assert abs(found.last.values["input_gain"] - 0.02) < 1e-4
 
@@ -152,8 +152,8 @@ def test_what_a_law_misses_of_its_own_effect_is_no_other_effect() -> None:
     for much, needed in ((-100.0 * compare.LEAST, 1.5), (-800.0 * compare.LEAST, 3.5)):
         less = replace(begun, deviance=much)
         enough, scant = (replace(begun, deviance=much - times * compare.LEAST) for times in (needed, needed - 0.5))
-        assert extend._fair(enough, [less, begun], begun) is enough
-        assert extend._fair(scant, [less, begun], begun) is less
+        assert search._fair(enough, [less, begun], begun) is enough
+        assert search._fair(scant, [less, begun], begun) is less
 
 
 def test_a_rival_stands_where_another_does_with_its_own_effect(monkeypatch) -> None:

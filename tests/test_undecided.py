@@ -15,14 +15,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 from example_diagnosis import RIG, example
 from mujoco_rig import TURN, Concealed, draw_rig, simulate
 
-from twin import compare, extend, finding, identify, phrases, report
+from twin import compare, extend, finding, identify, phrases, report, search
 from twin.axis import BASE, Structure
 from twin.explain import Hypothesis, Round
-from twin.extend import UNSURE, Search, Swap
 from twin.finding import Diagnosis, Fitness
 from twin.likelihood import Point
 from twin.recording import Recording
 from twin.report import Story
+from twin.search import UNSURE, Search, Swap
 from twin.unknown import Leftover
 
 
@@ -76,7 +76,7 @@ def point(criterion: float, *effects: str) -> Point:
     return Point(structure, {}, 1.0, (), criterion, 1.0, nothing, np.zeros(0), nothing)
 
 
-def search(gap: float, *also: str) -> Search:
+def searched(gap: float, *also: str) -> Search:
     """A search that chose gravity and found a spring `gap` units of the criterion behind, `also` known before."""
     before, one = point(3000.0, *also), point(1000.0, *also, "gravity")
     two = point(1000.0 + gap, *also, "spring")
@@ -88,14 +88,14 @@ def search(gap: float, *also: str) -> Search:
 
 @pytest.mark.parametrize("also", [(), ("motor_lag",)])
 def test_a_rival_takes_its_share_and_a_larger_model_none(also):
-    even = extend._probabilities(search(0.0, *also))[0]
+    even = extend._probabilities(searched(0.0, *also))[0]
     known = 1.0 - compare.OTHER
     assert even["gravity"] == pytest.approx(0.5 * known)
-    odds = extend._probabilities(search(2.0 * compare.TEMPER * np.log(4.0), *also))[0]
+    odds = extend._probabilities(searched(2.0 * compare.TEMPER * np.log(4.0), *also))[0]
     assert odds["gravity"] == pytest.approx(0.8 * known)
-    assert extend._probabilities(search(1500.0, *also))[0]["gravity"] == pytest.approx(known)
-    assert extend._undecided(search(1500.0, *also)) == ()
-    (pair,) = extend._undecided(search(0.5 * UNSURE, *also))
+    assert extend._probabilities(searched(1500.0, *also))[0]["gravity"] == pytest.approx(known)
+    assert extend._undecided(searched(1500.0, *also)) == ()
+    (pair,) = extend._undecided(searched(0.5 * UNSURE, *also))
     assert pair.ids == ("gravity", "spring") and sum(pair.probabilities) == pytest.approx(known)
 
 
@@ -114,7 +114,7 @@ def test_an_effect_that_came_along_with_another_stands_for_itself():
     tried = {"position_dependent_friction": 1000.0, "load_dependent_friction": 1020.0, "coulomb_friction": 1030.0}
     before, rivals = point(3000.0), tuple(Hypothesis((e,), point(c, e)) for e, c in tried.items())
     last = Structure.of([*BASE, "coulomb_friction"])
-    contest = extend._contest([Round(before, rivals, 1.0)], last, "coulomb_friction")
+    contest = search.contest_of([Round(before, rivals, 1.0)], last, "coulomb_friction")
     assert contest.gain == 1970.0
     assert [(h.added, behind) for h, behind in contest.rivals] == [(("load_dependent_friction",), -10.0)]
 
@@ -122,7 +122,7 @@ def test_an_effect_that_came_along_with_another_stands_for_itself():
 def test_what_looked_better_than_the_winner_and_did_not_show_is_no_rival():
     tried = {"spring": 1000.0, "load_change": 900.0, "gravity": 1010.0}
     before, rivals = point(3000.0), tuple(Hypothesis((e,), point(c, e)) for e, c in tried.items())
-    contest = extend._contest([Round(before, rivals, 1.0)], Structure.of([*BASE, "spring"]), "spring")
+    contest = search.contest_of([Round(before, rivals, 1.0)], Structure.of([*BASE, "spring"]), "spring")
     assert [h.added for h, _ in contest.rivals] == [("gravity",)]
 
 
@@ -132,11 +132,11 @@ def test_a_rival_takes_the_place_only_of_what_it_shows_without(monkeypatch, reac
     before, last, rival = point(3000.0), point(1000.0, "spring"), point(reached, "gravity")
     close = Round(before, (Hypothesis(("spring",), last), Hypothesis(("gravity",), point(1010.0, "gravity"))), 1.0)
     asked = []
-    monkeypatch.setattr(extend, "plausible", lambda cases, p: True)
-    monkeypatch.setattr(extend.explain, "settle", lambda cases, structure, values, held, density: rival)
-    monkeypatch.setattr(extend.explain, "deepen", lambda cases, p, held: p)
-    monkeypatch.setattr(extend.explain, "shows", lambda cases, without, p: asked.append(without) or shows)
-    swaps = extend._swapped((), last, [before], [close], {})
+    monkeypatch.setattr(search, "plausible", lambda cases, p: True)
+    monkeypatch.setattr(search.explain, "settle", lambda cases, structure, values, held, density: rival)
+    monkeypatch.setattr(search.explain, "deepen", lambda cases, p, held: p)
+    monkeypatch.setattr(search.explain, "shows", lambda cases, without, p: asked.append(without) or shows)
+    swaps = search._swapped((), last, [before], [close], {})
     assert len(swaps) == kept and asked == ([before] if reached < 1000.0 + UNSURE else [])
 
 
@@ -144,7 +144,7 @@ def test_a_rattling_rig_is_said_to_hide_effects(monkeypatch):
     fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(0.2, 2.0, math.nan)}}
     for rough, rattles in ((0.5 * compare.LEAST, False), (2.0 * compare.LEAST, True)):
         monkeypatch.setattr(identify, "roughness", lambda cases, point, rough=rough: rough)
-        said = extend._remarks(search(500.0), fit, [])
+        said = extend._remarks(searched(500.0), fit, [])
         assert [s.startswith("The motor rattles in its gap") for s in said] == ([True] if rattles else [])
 
 
@@ -159,4 +159,4 @@ def test_names_that_do_more_than_a_curve_are_kept(monkeypatch, curve, outdone, n
     """Of what leaves much of the missing torque, here 1000 by the criterion."""
     monkeypatch.setattr(extend, "_outdone", lambda found, nameless: outdone)
     much, most = (Leftover(0.5, 1e-9, ("position",), "position", size, ()) for size in (1.0, 0.9))
-    assert extend._verdict(search(500.0), point(curve, "unknown_position"), named, much, most) == verdict
+    assert extend._verdict(searched(500.0), point(curve, "unknown_position"), named, much, most) == verdict

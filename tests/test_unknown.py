@@ -15,6 +15,7 @@ from twin.effects.catalogue import CANDIDATES, UNKNOWN
 from twin.effects.knots import KNOTS, line, names
 from twin.likelihood import Case, Point
 from twin.recording import Recording
+from twin.search import Search
 from twin.unknown import Term
 
 STRUCTURE = Structure.of(("inertia", "viscous_friction", "dead_band"))
@@ -114,7 +115,7 @@ def test_of_several_recordings_the_one_that_lacks_most_decides():
     lacking, _ = fitted("bump")
     longer = replace(clean, drive=replace(clean.drive, time=1.01 * clean.drive.time))
     for cases, telling in (((longer, lacking), lacking), ((clean, longer), longer)):
-        found = extend.Search(point, point, (), cases)
+        found = Search(point, point, (), cases)
         assert extend._telling(found)[0] is telling
 
 
@@ -131,7 +132,7 @@ def test_what_only_the_held_out_part_shows_is_said(missing, says):
     whole = Recording("made", time, command, np.round(y / COUNT) * COUNT, "%", "rad", COUNT)
     case = likelihood.prepare(whole.part(0.0, moment), STRUCTURE)
     point = likelihood.fit([case], STRUCTURE, VALUES, FREE)
-    said = extend._unseen(extend.Search(point, point, (), (case,)), [(whole, moment)])
+    said = extend._unseen(Search(point, point, (), (case,)), [(whole, moment)])
     assert len(said) == says
     assert not says or ("from 21 s on" in said[0] and "input" in said[0])
 
@@ -240,7 +241,7 @@ def test_what_has_no_name_wins_where_the_names_do_nothing_beside_it(key, name, t
         last = likelihood.climb([mine], structure, ready.completed(structure, first.values), first.density, free)
         assert compare.earns(first, last)
     nameless = with_curve([case], first, term)
-    found = extend.Search(first, last, (), (case,))
+    found = Search(first, last, (), (case,))
     assert extend._outdone(found, nameless) is outdone
 
 

@@ -1,0 +1,233 @@
+"""Which effects a first model lacks: added one at a time, pruned, and held against what is easily taken for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from twin import ascent, compare, explain, meetings, ready, screening
+from twin.axis import Structure
+from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS
+from twin.explain import Hypothesis, Round
+from twin.likelihood import Case, Point
+from twin.plausibility import plausible
+from twin.recording import Recording
+
+Progress = Callable[[str, float], None]
+#: More effects than this at once are not looked for.
+MOST = 4
+#: By this share of what it does a law may miss what a machine does; deviance goes with the square.
+LAX = 0.05
+#: So often at most is more looked for after one effect has taken another's place.
+TURNS = 2
+#: Criteria that differ by less leave two explanations undecided: 73 % to 27 %.
+UNSURE = 2.0 * compare.TEMPER
+#: A rival that had earned all but this share of what the winner did is tried in its place.
+NARROW = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Swap:
+    """The last model with a rival in the place of one of its effects, fitted."""
+
+    effect: str
+    rival: str
+    point: Point
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """How a structure was arrived at: the first model, the last, the rounds between, the last less one effect, and the
+    last with one effect exchanged for a rival that had come close to it.
+    """
+
+    first: Point
+    last: Point
+    rounds: tuple[Round, ...]
+    cases: tuple[Case, ...]
+    lesser: tuple[Point, ...] = ()
+    swaps: tuple[Swap, ...] = ()
+
+
+def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
+    """The structure less one effect each, with and without what that effect brought along."""
+    out = []
+    for effect in structure.named:
+        if effect not in keep:
+            brought = _orphans(structure, effect)
+            out += [structure.without(effect)] if brought else []
+            out += [structure.without(effect, *brought)]
+    return out
+
+
+def _fits(
+    cases: Sequence[Case], point: Point, held: Mapping[str, float], structures: Sequence[Structure]
+) -> list[Point]:
+    return [explain.settle(cases, s, point.values, held, point.density) for s in structures]
+
+
+def _fair(point: Point, lesser: Sequence[Point], begun: Point) -> Point:
+    """The best of the lesser fits whose lack does not matter, or the point itself.
+
+    What a law misses of what it stands for must not pass for another effect.
+    """
+    missed = LAX**2 * max(begun.deviance - point.deviance, 0.0)
+    fair = [q for q in lesser if not compare.earns(q, point, missed)]
+    return min(fair, key=lambda q: compare.criterion(q, compare.worth([point])), default=point)
+
+
+def _orphans(structure: Structure, effect: str) -> tuple[str, ...]:
+    """What the effect brought with it and no other effect needs."""
+    others = [e for e in structure.effects if e.id != effect]
+    needed = {i for e in others for i in e.includes}
+    return tuple(i for i in EFFECTS[effect].includes if i not in BASE and i not in needed)
+
+
+def _grown(
+    cases: Sequence[Case], best: Point, known: Sequence[Hypothesis], candidates: Sequence[str],
+    held: Mapping[str, float], tell: Progress,
+) -> tuple[Point, list[Round]]:  # fmt: skip
+    """The model with what earns its place, one effect at a time, and the rounds, of which the last may have added none.
+
+    `known` are rivals of the first round that have been fitted already.
+    """
+    rounds: list[Round] = []
+    for n in range(MOST):
+        open_ = [c for c in candidates if c not in best.structure]
+        if not open_:
+            break
+        tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)
+        best = explain.relocated(cases, explain.rejudged(cases, best, held), held) if rounds else best
+        this = explain.compete(cases, best, known, open_, held)
+        rounds.append(this)
+        best, winner = this.before, this.rivals[0].point
+        if not this.won:
+            break
+        best = _plainer(cases, this, held)
+        known = [] if best is winner else [this.rivals[0]]
+    return best, rounds
+
+
+def _pruned(
+    cases: Sequence[Case], best: Point, begun: Point, held: Mapping[str, float]
+) -> tuple[Point, list[Point]]:  # fmt: skip
+    """The model without effects whose lack does not matter, and the smaller ones that it is held against."""
+    lesser: list[Point] = []
+    while fewer := _smaller(best.structure, begun.structure):
+        lesser = [*_fits(cases, best, held, fewer), begun]
+        less = _fair(best, lesser, begun)
+        if less is best:
+            break
+        best = less
+    return best, lesser
+
+
+def find(
+    recordings: Sequence[Recording],
+    first: Structure,
+    held: Mapping[str, float],
+    candidates: Sequence[str] = CANDIDATES,
+    progress: Progress | None = None,
+) -> Search:
+    """Add effects one at a time for as long as each earns its place."""
+    tell = progress or (lambda sentence, share: None)
+    tell("fitting the first model", 0.0)
+    cases, rough = ascent.start(recordings, first, held)
+    polished, fine = ascent.polish(cases, ascent.refine(cases, ready.with_teeth(first), rough, held))
+    # What a model without the right physics cannot foresee may be what is looked for.
+    cases = meetings.judged_throughout(polished)
+    best = explain.settle(cases, first, fine.values, held, explain.judged(cases, fine))
+    candidates = screening.offered(cases, candidates)
+    far = explain.contest(cases, rough[0], [c for c in candidates if c not in first])
+    known = explain.from_afar(cases, far, held, best.density)
+    rounds: list[Round] = []
+    for _ in range(TURNS):
+        best, more = _grown(cases, best, known, candidates, held, tell)
+        rounds += more
+        # What the last model is held against is judged as it is.
+        start = rounds[0].before if rounds else best
+        begun = explain.settle(cases, first, start.values, held, best.density)
+        best, lesser = _pruned(cases, best, begun, held)
+        begun = min([begun, *(q for q in lesser if q.structure == begun.structure)], key=lambda p: p.deviance)
+        swaps = _swapped(cases, best, lesser, rounds, held)
+        better = max(swaps, key=lambda w: ahead(w.point, best), default=None)
+        if better is None or ahead(better.point, best) <= 0.0:
+            break
+        # The rival had lost beside what was still missing then; now it is the one that fits, and more may show.
+        ousted, known = best, []
+        best, lesser = _pruned(cases, better.point, begun, held)
+        swaps = [Swap(better.rival, better.effect, ousted)] if better.rival in best.structure else []
+    return Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
+
+
+def ahead(one: Point, other: Point) -> float:
+    """By how many units the criterion of the first is better than that of the second."""
+    unit = compare.worth([one, other])
+    return compare.criterion(other, unit) - compare.criterion(one, unit)
+
+
+@dataclass(frozen=True, eq=False)
+class Contest:
+    """How an effect won its place: by how much, and the rivals that lack it, each with how far behind it was."""
+
+    gain: float
+    rivals: tuple[tuple[Hypothesis, float], ...]
+
+
+def contest_of(rounds: Sequence[Round], last: Structure, effect: str) -> Contest:
+    """The last round that an effect of the last model won.
+
+    A rival that contains the effect and more does not deny it; one that is in the last model, too, took nothing away;
+    and what did not show has no share.
+    """
+    for this in reversed(rounds):
+        own = {h.added[0]: compare.criterion(h.point, this.unit) for h in this.rivals if effect in h.point.structure}
+        if effect not in this.before.structure and own:
+            # An effect that another one brought along stands for itself where it ran, too.
+            best = own.get(effect, min(own.values()))
+            others = [h for h in this.rivals if effect not in h.point.structure and h.added[0] not in last]
+            tried = [(h, compare.criterion(h.point, this.unit)) for h in others]
+            # What looked better than the winner was refused.
+            won = compare.criterion(this.rivals[0].point, this.unit)
+            behind = tuple((h, c - best) for h, c in tried if c >= won)
+            return Contest(compare.criterion(this.before, this.unit) - best, behind)
+    return Contest(0.0, ())
+
+
+def _swapped(
+    cases: Sequence[Case], last: Point, lesser: Sequence[Point], rounds: Sequence[Round], held: Mapping[str, float]
+) -> list[Swap]:  # fmt: skip
+    """The last model with each effect exchanged for every rival that had come close to it and shows in its place.
+
+    `lesser` are smaller models that the last one is held against.
+    """
+    out = []
+    for effect in last.structure.named:
+        contest = contest_of(rounds, last.structure, effect)
+        margin = max(UNSURE, NARROW * contest.gain)
+        for h, behind in contest.rivals:
+            if behind < margin and plausible(cases, h.point):
+                rest = last.structure.without(effect, *_orphans(last.structure, effect))
+                own, other = h.point, rest.with_(*h.added)
+                starts = ({**own.values, **last.values}, {**last.values, **own.values})
+                tried = [explain.settle(cases, other, values, held, last.density) for values in starts]
+                point = explain.deepen(cases, min(tried, key=lambda p: p.deviance), held)
+                # What does not come close needs no test.
+                far = ahead(last, point) > UNSURE
+                without = min((q for q in lesser if effect not in q.structure), key=lambda q: q.deviance, default=last)
+                if plausible(cases, point) and (far or explain.shows(cases, without, point)):
+                    out.append(Swap(effect, h.added[0], point))
+    return out
+
+
+def _plainer(cases: Sequence[Case], this: Round, held: Mapping[str, float]) -> Point:
+    """The winner, or what it brought along alone where that earns a place by itself.
+
+    What a specialised friction adds to plain friction then competes with everything else that may be beside it.
+    """
+    winner = this.rivals[0]
+    kept = this.before.structure.with_(*EFFECTS[winner.added[0]].includes)
+    if kept.named == this.before.structure.named:
+        return winner.point
+    plain = _fits(cases, winner.point, held, [kept])[0]
+    return plain if compare.earns(this.before, plain) else winner.point
