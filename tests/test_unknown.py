@@ -197,6 +197,23 @@ def test_a_wave_that_only_one_direction_of_push_knows_is_found():
     assert found.variables == ("position", "input")
 
 
+def test_what_a_reversal_leaves_behind_is_found_in_any_unit():
+    """A torque that dies down within a tenth of a radian after each turn, or of what is a radian on a linear axis."""
+    case, point = fitted("nothing")
+    missing = locate.missing_torque(case, point.structure, point.values)
+    rng = np.random.default_rng(6)
+    sign = np.repeat((-1.0) ** np.arange(200), rng.integers(200, 900, 200))[: len(missing.time)]
+    place = np.cumsum(sign) * missing.step
+    turns = np.flatnonzero(np.diff(sign, prepend=sign[0]))
+    last = np.concatenate([[0], turns])[np.searchsorted(turns, np.arange(len(sign)), "right")]
+    torque = sign * np.exp(-np.abs(place - place[last]) / 0.1) + 0.3 * rng.standard_normal(len(sign))
+    shares = []
+    for lever in (1.0, 1.0 / 64.0):
+        seen = replace(missing, position=lever * place, velocity=lever * sign, torque=torque)
+        shares.append({d.table: d.share for d in unknown.examine(seen, lever).dependences}["since reversal"])
+    assert shares[0] > 0.5 and abs(shares[1] - shares[0]) < 1e-9
+
+
 def test_a_wave_is_drawn_with_its_order():
     case, base = fitted("cogging")
     before = unknown.leftover(case, base.structure, base.values)

@@ -38,6 +38,8 @@ _CAUTION = 5.0
 #: Waves over position, so many times a turn, each cut into so many phases.
 _ORDERS = range(2, 61)
 _PHASES = 8
+#: So far after a reversal friction and gap may still remember it, rad.
+_NEAR = 0.3
 #: What counts as left: a rig with nothing missing leaves next to nothing, unless its motor rattles without end.
 SURE = 0.01
 LARGE = 0.2
@@ -126,7 +128,7 @@ def _cut(values: FloatArray, bins: int) -> IntArray:
     return np.searchsorted(edges, values, "right") + np.searchsorted(edges, values, "left")
 
 
-def _tables(means: Mapping[str, FloatArray]) -> dict[str, IntArray]:
+def _tables(means: Mapping[str, FloatArray], lever: float) -> dict[str, IntArray]:
     """Every state on which the torque may depend, cut into bins."""
     fast = float(np.quantile(np.abs(means["velocity"]), 0.95))
     direction = (np.sign(means["velocity"]) * (np.abs(means["velocity"]) > 0.02 * fast) + 1.0).astype(np.intp)
@@ -134,7 +136,7 @@ def _tables(means: Mapping[str, FloatArray]) -> dict[str, IntArray]:
     tables = {n: _cut(means[n], 30) for n in ("position", "velocity", "acceleration", "input", "time")}
     tables |= {
         "direction": direction,
-        "since reversal": 3 * _cut(np.clip(means["since"], 0.0, 0.3), 12) + direction,
+        "since reversal": 3 * _cut(np.clip(means["since"], 0.0, _NEAR * lever), 12) + direction,
         "velocity, time": 100 * _cut(means["velocity"], 6) + _cut(means["time"], 6),
         "input, time": 100 * _cut(means["input"], 6) + _cut(means["time"], 6),
         "input, velocity": 100 * _cut(means["input"], 8) + _cut(means["velocity"], 8),
@@ -210,8 +212,11 @@ def _tail(score: float, null: FloatArray) -> float:
     return min(counted, -math.expm1(-math.exp(-min((score - mode) / scale, 700.0))))
 
 
-def examine(missing: Missing, seed: int = 1) -> Leftover:
-    """Look for dependence of the missing torque on every state. The same seed gives the same p-value."""
+def examine(missing: Missing, lever: float = 1.0, seed: int = 1) -> Leftover:
+    """Look for dependence of the missing torque on every state; `lever` is what a radian is in the axis' unit.
+
+    The same seed gives the same p-value.
+    """
     means = _averages(missing)
     if len(means["torque"]) < 20 * _FOLDS:
         return Leftover(0.0, 1.0, (), "", 0.0, ())
@@ -221,7 +226,7 @@ def examine(missing: Missing, seed: int = 1) -> Leftover:
     rng = np.random.default_rng(seed)
     signs = rng.choice([-1.0, 1.0], (_DRAWS, pieces))
     found, nulls = [], []
-    for name, table in _tables(means).items():
+    for name, table in _tables(means, lever).items():
         share, square, noise = _shares(torque, np.unique(table, return_inverse=True)[1], stretch, signs)
         middle, spread = float(noise.mean()), max(float(noise.std()), 1e-12)
         nulls.append((noise - middle) / spread)
@@ -235,7 +240,7 @@ def examine(missing: Missing, seed: int = 1) -> Leftover:
 def leftover(case: Case, structure: Structure, values: Mapping[str, float], since: float = 0.0) -> Leftover:
     """Is there still structure in what a fitted model lacks, from `since` (s) on, that depends on the state?"""
     (mine,) = ready.with_steps([case], structure)
-    return examine(locate.missing_torque(mine, structure, values).since(since))
+    return examine(locate.missing_torque(mine, structure, values).since(since), case.recording.lever)
 
 
 def is_left(found: Leftover) -> bool:
