@@ -43,6 +43,17 @@ def test_slopes_that_ran_away_say_nothing():
     assert compare.worth([wild, point(once, 4.0 * once)]) == pytest.approx(4.0)
 
 
+def test_knots_that_each_see_little_do_not_outvote_the_rest():
+    """A curve beside three parameters whose slopes repeat: what it adds is judged by what both models have."""
+    plain = point(np.eye(3), 6.0 * np.eye(3))
+    knots, scatter = tuple(f"unknown_velocity_{i:02}" for i in range(1, 13)), np.diag([5.0] * 3 + [1.0] * 12)
+    drawn = replace(
+        plain, free=(*plain.free, *knots), deviance=-100.0, normal=np.eye(15), gradient=np.zeros(15), scatter=scatter
+    )
+    assert drawn.unit == pytest.approx(1.0)
+    assert compare.worth([plain, drawn]) == pytest.approx(5.0)
+
+
 def test_what_leaves_no_trace_has_no_say():
     seen = np.diag([4.0, 2.0, 0.0])
     assert compare.worth([point(seen, 3.0 * seen)]) == pytest.approx(3.0)

@@ -23,7 +23,6 @@ from twin.likelihood import Point
 from twin.recording import Recording
 from twin.report import Story
 from twin.search import UNSURE, Search, Swap
-from twin.unknown import Leftover
 
 
 def slow(seconds: float, most: float, top: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -146,17 +145,3 @@ def test_a_rattling_rig_is_said_to_hide_effects(monkeypatch):
         monkeypatch.setattr(identify, "roughness", lambda cases, point, rough=rough: rough)
         said = extend._remarks(searched(500.0), fit, [])
         assert [s.startswith("The motor rattles in its gap") for s in said] == ([True] if rattles else [])
-
-
-@pytest.mark.parametrize(
-    ("curve", "outdone", "named", "verdict"),
-    [
-        (900.0, False, True, "unexplained"), (1100.0, False, True, "partly_explained"),
-        (1100.0, True, True, "unexplained"), (1100.0, False, False, "unexplained"),
-    ],
-)  # fmt: skip
-def test_names_that_do_more_than_a_curve_are_kept(monkeypatch, curve, outdone, named, verdict):
-    """Of what leaves much of the missing torque, here 1000 by the criterion."""
-    monkeypatch.setattr(extend, "_outdone", lambda found, nameless: outdone)
-    much, most = (Leftover(0.5, 1e-9, ("position",), "position", size, ()) for size in (1.0, 0.9))
-    assert extend._verdict(searched(500.0), point(curve, "unknown_position"), named, much, most) == verdict

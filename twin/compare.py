@@ -34,10 +34,13 @@ def worth(points: Sequence[Point]) -> float:
     Where innovations stay correlated each says again what the one before it said, and deviance counts them all. A
     difference of deviance over this unit is then what it would be for independent ones (composite likelihood; Varin
     and Vidoni, Biometrika 92, 2005). What is missing from a model correlates its innovations, too, and must not speak
-    against itself: the likeliest shows best what noise alone does.
+    against itself: the likeliest shows best what noise alone does; by the parameters that all have, since a curve's
+    twelve knots, each of which is seen for a while only, would outvote the rest.
     """
-    certain = [p for p in points if math.isfinite(p.unit) and math.isfinite(p.deviance) and not p.chaotic]
-    return max(1.0, min(certain, key=lambda p: p.deviance).unit) if certain else WORST
+    shared = set(points[0].free).intersection(*(p.free for p in points))
+    units = [(p.deviance, p.unit_by(shared)) for p in points if not p.chaotic]
+    certain = [(deviance, unit) for deviance, unit in units if math.isfinite(deviance) and math.isfinite(unit)]
+    return max(1.0, min(certain)[1]) if certain else WORST
 
 
 def criterion(point: Point, unit: float) -> float:

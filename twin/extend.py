@@ -219,17 +219,6 @@ def _outdone(found: Search, nameless: Point) -> bool:
     return not compare.earns(nameless, _beside(found, nameless))
 
 
-def _verdict(
-    found: Search, nameless: Point, named: bool, before: unknown.Leftover, after: unknown.Leftover
-) -> str:  # fmt: skip
-    """The contract's verdict; names that leave much but do more than any curve in their place are kept."""
-    if _outdone(found, nameless):
-        return "unexplained"
-    said = unknown.verdict(named, before, after)
-    kept = named and said == "unexplained" and search.ahead(found.last, nameless) > 0.0
-    return "partly_explained" if kept else said
-
-
 def _beside(found: Search, nameless: Point) -> Point:
     """The names and what has none together, fitted; that alone where nothing was named."""
     last, kept = found.last, [n for n in found.last.free if n not in found.first.free]
@@ -290,7 +279,7 @@ def diagnose(
     tell("trying shapes without a name", 0.85)
     nameless = _nameless(found, *left)
     named = bool(set(found.last.structure.named) - set(first.named))
-    verdict = _verdict(found, nameless, named, *left)
+    verdict = "unexplained" if _outdone(found, nameless) else unknown.verdict(named, *left)
     if verdict == "unexplained":
         found = replace(found, last=nameless, rounds=found.rounds[:1], lesser=(), swaps=())
     lap("term without a name")

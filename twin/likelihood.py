@@ -15,7 +15,7 @@ The maximum is found by Gauss-Newton steps on exact derivatives, with damping, b
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -164,15 +164,21 @@ class Point:
         return np.asarray(np.diag(self.normal) * sizes**2 > TRACE)
 
     @property
-    @_unheeded()
     def unit(self) -> float:
-        """What one unit of deviance is worth here: the more the model errs, the less a change of one means.
+        """What one unit of deviance is worth here: the more the model errs, the less a change of one means."""
+        return self.unit_by(self.free)
+
+    @_unheeded()
+    def unit_by(self, names: Iterable[str]) -> float:
+        """The same by some parameters alone, or by all where none of these is free.
 
         Parameters that leave no trace have no say in it.
         """
         if not self.free:
             return 1.0
-        traced = self._excess[np.isfinite(self._excess)]
+        among = set(names) & set(self.free) or set(self.free)
+        own = self._excess[[n in among for n in self.free]]
+        traced = own[np.isfinite(own)]
         return float(np.median(np.maximum(traced, 1.0))) if len(traced) else math.nan
 
     @property
