@@ -40,11 +40,11 @@ def made(speed: bool = False, shaken: float = 0.0, duration: float = 12.0) -> Ca
     return likelihood.prepare(replace(blank, input=duty, output=read), STRUCTURE)
 
 
-def van_loan(friction: float, density: float, share: float) -> tuple[np.ndarray, np.ndarray]:
+def van_loan(friction: float, link: float, motor: float) -> tuple[np.ndarray, np.ndarray]:
     """Transition and noise of (link position, velocity, motor position, velocity) over one step, apart."""
     body = np.array([[0.0, 1.0], [0.0, -friction]])
     a = np.kron(np.eye(2), body)
-    q = np.diag([0.0, 0.5 * density / (1.0 - share) ** 2, 0.0, 0.5 * density / share**2])
+    q = np.diag([0.0, link, 0.0, motor])
     both = expm(np.block([[-a, q], [np.zeros((4, 4)), a.T]]) * STEP)
     transition = both[4:, 4:].T
     return transition, transition @ both[:4, 4:]
@@ -56,23 +56,24 @@ def test_the_filter_is_the_one_of_the_textbook(speed: bool) -> None:
     noise = Noise(3e3 if speed else 3e5, 2.0, 7.0)
     run = kernel.predict(case.drive, kernel.vector(STRUCTURE, VALUES), kernel.start_state(0.0, 0.0, 0.0), noise, True)
     share, half = VALUES["motor_share"], 0.5 * VALUES["backlash_gap"]
-    transition, _ = van_loan(VALUES["viscous_friction"], noise.density, share)
+    transition, _ = van_loan(VALUES["viscous_friction"], 0.0, 0.0)
     # What friction does within a step to the noise of that step is left out.
-    _, q = van_loan(0.0, noise.density, share)
+    _, apart = van_loan(0.0, noise.density, 0.5 * noise.density / share**2)
+    _, one = van_loan(0.0, noise.density, 0.0)
+    merge = np.kron(np.outer(np.ones(2), [1.0 - share, share]), np.eye(2))
+    joined = np.kron(np.outer(np.ones(2), [1.0, 0.0]), np.eye(2))
     # What is noted at a stamp is the state before it is corrected; whether link and motor touch is decided then.
     touching = np.abs(run.states[:, 2]) >= half * (1.0 - 1e-9)
     assert 0.1 < np.mean(touching) < 0.9
     weights = np.array([1.0 - share, share])
-    merge = np.kron(np.outer(np.ones(2), weights), np.eye(2))
     seen = np.zeros(4)
     seen[1 if speed else 0] = 1.0
     c = np.kron(np.ones((2, 2)), np.diag([noise.position, noise.velocity]))
     spread, pull = np.empty(len(touching)), np.empty(len(touching))
     for i, together in enumerate(touching):
         if i > 0:
-            c = transition @ c @ transition.T + q
-            if together:
-                c = merge @ c @ merge.T
+            c = transition @ c @ transition.T
+            c = merge @ c @ merge.T + joined @ one @ joined.T if together else c + apart
         spread[i] = seen @ c @ seen + 1.0
         gain = c @ seen / spread[i]
         pull[i] = weights @ gain[1::2]
@@ -119,3 +120,16 @@ def test_without_noise_nothing_is_corrected() -> None:
     blind = replace(case.drive, measured=np.full(len(case.drive.time), np.nan))
     assert np.array_equal(free.reading, kernel.predict(blind, p, x, Noise(1e5)).reading)
     assert np.all(free.spread == 1.0)
+
+
+def test_a_link_that_weighs_nothing_is_not_followed_without_memory() -> None:
+    """In the gap the filter knows of the link what it knows where motor and link are one, however light it is."""
+    case = made()
+    noise = likelihood.noise_for(case, likelihood.density_of(case, 0.1))
+    start = kernel.start_state(*case.start, 0.0)
+    loose = kernel.predict(case.drive, kernel.vector(STRUCTURE, {**VALUES, "motor_share": 0.98}), start, noise, True)
+    rigid = Structure.of([i for i in BASE if i != "backlash"])
+    tight = kernel.predict(case.drive, kernel.vector(rigid, VALUES), start, noise)
+    apart = np.abs(loose.states[:, 2]) < 0.5 * VALUES["backlash_gap"] * (1.0 - 1e-9)
+    assert 0.1 < np.mean(apart) < 0.9
+    assert np.all(loose.spread < 1.3 * tight.spread.max())

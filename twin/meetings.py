@@ -39,7 +39,7 @@ def _unforeseen(case: Case, point: Point) -> NDArray[np.bool_]:
     last = met[np.searchsorted(met, left, "right")]
     share = point.values["motor_share"]
     variance = case.reading_variance * point.scale
-    density = 0.5 * point.density * variance * (1.0 / share**2 + 1.0 / (1.0 - share) ** 2)
+    density = point.density * variance * (0.5 / share**2 + 1.0)
     alone = time[last + 1] - time[left]
     spread = np.sqrt(density * alone**3 / 3.0)
     unsure = np.minimum(spread / np.maximum(speed[last], 1e-9), alone)

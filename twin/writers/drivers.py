@@ -32,9 +32,10 @@ def believing(noise, begin, c):
 
 
 def spreading(c, h, damping, density, share, touching):
-    """Move the covariance by the time h. Link and motor, of 1 - share and share of the inertia, take half of the noise
-    each. Where they touch they are one: what is then known is what was known of their mass centre, which an impact
-    leaves alone, whenever it happened.
+    """Move the covariance by the time h. Where link and motor touch they are one: what is then known is what was known
+    of their mass centre, which an impact leaves alone, whenever it happened. In the gap the motor, of `share` of the
+    inertia, takes half of the torque noise, and the link is as uncertain as where they touch, whatever it weighs: were
+    it the more so the lighter it is, a link of next to nothing would be followed without memory, and be likely.
     """
     f = np.exp(-damping * h)
     g = h
@@ -50,8 +51,9 @@ def spreading(c, h, damping, density, share, touching):
         c[2] = c[5] = c[9] = f * f * v + density * h
         return
     for i in range(2):
-        mass = share if i == 1 else 1.0 - share
-        noise = 0.5 * density / (mass * mass) * h
+        noise = density * h
+        if i == 1:
+            noise = 0.5 * noise / (share * share)
         b = c[3 * i + 1]
         v = c[3 * i + 2]
         c[3 * i] += 2.0 * g * b + g * g * v + noise * h * h / 3.0
