@@ -54,6 +54,22 @@ def test_knots_that_each_see_little_do_not_outvote_the_rest():
     assert compare.worth([plain, drawn]) == pytest.approx(5.0)
 
 
+def test_an_addition_is_judged_by_its_own_size():
+    """Slow errors lead the slope of a slow effect more than those of what all models have."""
+    before = point(np.eye(3), 2.0 * np.eye(3))
+    free = (*before.free, "ripple_torque", "ripple_order")
+    for scatter, unit in ((20.0, 20.0), (1.0, 2.0)):
+        after = replace(
+            before, structure=before.structure.with_("torque_ripple"), free=free, deviance=-1000.0,
+            normal=np.eye(5), gradient=np.zeros(5), scatter=np.diag([2.0, 2.0, 2.0, scatter, 90.0]),
+        )  # fmt: skip
+        gain = 1000.0 / unit - 2.0 * compare.PRICE
+        assert compare.earned(before, after) == pytest.approx(gain)
+        assert compare.earned(before, after, 500.0) == pytest.approx(gain - 500.0 / unit)
+        assert compare.earns(before, after, 500.0) is (gain - 500.0 / unit > compare.LEAST)
+        assert compare.ahead(after, before) == pytest.approx(1000.0 / 2.0 - 2.0 * compare.PRICE)
+
+
 def test_what_leaves_no_trace_has_no_say():
     seen = np.diag([4.0, 2.0, 0.0])
     assert compare.worth([point(seen, 3.0 * seen)]) == pytest.approx(3.0)

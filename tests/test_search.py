@@ -97,6 +97,7 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
         ("periodic_disturbance", "disturbance_frequency", 1.7, 0.1),
         ("spring", "spring_rest", 5.0, 50.0),
         ("joint_elasticity", "motor_share", 0.3, 0.02),
+        ("joint_elasticity", "motor_share", 0.9, 0.98),
         ("stribeck_friction", "stribeck_velocity", 0.2, likelihood.bounds_of("stribeck_velocity")[0]),
         ("motor_lag", "lag_time", 0.004, 0.0001),
         ("encoder_eccentricity", "eccentricity", 0.03, 0.5),
@@ -123,6 +124,70 @@ def test_where_a_recording_begins_is_no_stop() -> None:
     ):  # fmt: skip
         point = likelihood.evaluate(cases, structure, {**values, name: value}, 1.0)
         assert plausible(cases, point) is right, (name, value)
+    # What is met at the other end is none the less for it.
+    point = likelihood.evaluate(cases, structure, {**values, "stop_lower": 0.001, "stop_upper": 5.99}, 1.0)
+    assert plausible(cases, point)
+
+
+def test_friction_that_acts_only_where_the_way_ends_is_a_stop() -> None:
+    time = 0.002 * np.arange(2500)
+    rising = Recording("rising", time, np.full(2500, 30.0), 1.5 * (1.0 - np.cos(time)), "%", "rad", 1e-4)
+    structure = Structure.of([*BASE, "position_dependent_friction"])
+    cases = [likelihood.prepare(rising, structure)]
+    values = {**ready.completed(structure, {}), "coulomb_friction": 0.0, "friction_variation": 2.0}
+    for angle, coulomb, right in ((0.0, 0.0, True), (-3.1, 0.0, False), (-3.1, 1.9, True)):
+        tried = {**values, "friction_angle": angle, "coulomb_friction": coulomb}
+        assert plausible(cases, likelihood.evaluate(cases, structure, tried, 1.0)) is right, (angle, coulomb)
+
+
+def test_a_motor_that_carries_next_to_no_link_is_no_better_place(monkeypatch) -> None:
+    """From where gap and shares are looked for anew a climb may end where the link weighs nothing."""
+    structure, nothing = Structure.of(BASE), np.eye(0)
+    point = likelihood.Point(structure, {"motor_share": 0.3}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing)
+    monkeypatch.setattr(ready, "with_steps", lambda cases, structure: cases)
+    monkeypatch.setattr(ready, "completed", lambda structure, values: values)
+    monkeypatch.setattr(explain.ascent, "coarse", lambda cases, structure, values, held, memory: point)
+    for share, taken in ((0.2, True), (0.979, False), (0.021, False)):
+        better = replace(point, values={"motor_share": share}, deviance=-1000.0)
+        monkeypatch.setattr(explain, "retoothed", lambda *args, better=better: better)
+        assert (explain.relocated((), point, {}) is better) is taken
+
+
+def test_two_effects_that_hide_each_other_are_found_together(monkeypatch) -> None:
+    """Neither earns a place alone; what both do has to be worth two."""
+    base, nothing = Structure.of(BASE), np.eye(0)
+    before = likelihood.Point(base, {}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing)
+    one = replace(before, structure=base.with_("spring"), deviance=-0.5 * compare.LEAST)
+    monkeypatch.setattr(search, "plausible", lambda cases, p: True)
+    monkeypatch.setattr(compare, "worth", lambda points: explain.WHITE)
+    monkeypatch.setattr(explain, "shows", lambda cases, smaller, larger: True)
+    alone = explain.Round(before, (explain.Hypothesis(("spring",), one),), explain.WHITE, won=False)
+    for worth, found in ((2.2, True), (1.8, False)):
+        both = replace(one, structure=one.structure.with_("gravity"), deviance=-explain.WHITE * worth * compare.LEAST)
+        second = explain.Round(one, (explain.Hypothesis(("gravity",), both),), explain.WHITE)
+        monkeypatch.setattr(explain, "compete", lambda *args, second=second: second)
+        assert search._beyond((), alone, ("spring", "gravity"), {}) is (second if found else None)
+    # Where units are white there is nothing that could hide it, and what promises nothing is not followed.
+    assert search._beyond((), replace(alone, unit=1.0), ("spring", "gravity"), {}) is None
+    faint = replace(alone, rivals=(explain.Hypothesis(("spring",), replace(one, deviance=-1.0)),))
+    assert search._beyond((), faint, ("spring", "gravity"), {}) is None
+
+
+def test_what_a_short_memory_does_not_know_of_is_judged_by_a_longer_one(monkeypatch) -> None:
+    """An effect that has earned its place is not dropped because a filter that forgets faster cannot see it."""
+    base, nothing = Structure.of(BASE), np.eye(0)
+    begun = likelihood.Point(base, {}, 16.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing)
+    best = replace(begun, structure=base.with_("spring"), deviance=-0.2 * compare.LEAST)
+    for gain, kept in ((5.0, True), (0.5, False)):
+
+        def settled(cases, structure, values, held, density, gain=gain):
+            size = (0.2 if density == 16.0 else gain) if "spring" in structure else 0.0
+            return replace(begun, structure=structure, density=density, deviance=-size * compare.LEAST)
+
+        monkeypatch.setattr(explain, "settle", settled)
+        judged, lesser = search._remembered((), best, begun, {}, 1.0)
+        assert ("spring" in judged.structure) is kept
+        assert {q.density for q in lesser} == {judged.density} == {1.0 if kept else 16.0}
 
 
 def test_a_weak_torque_shows_although_a_filter_that_forgets_fast_does_not_see_it() -> None:
@@ -141,7 +206,8 @@ def test_a_weak_torque_shows_although_a_filter_that_forgets_fast_does_not_see_it
     before = explain.settle(cases, plain, values, {}, density)
     after = explain.settle(cases, plain.with_("spring"), {**before.values, **weak}, {}, density)
     assert compare.worth([before, after]) < explain.WHITE
-    assert not explain._preferred(*explain._adapted(cases, before, after, likelihood.density_of(cases[0], 0.025)))
+    smaller, larger = explain._adapted(cases, before, after, likelihood.density_of(cases[0], 0.025))
+    assert not compare.ahead(larger, smaller) > 0.0
     assert explain.shows(cases, before, after)
 
 

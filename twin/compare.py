@@ -48,10 +48,27 @@ def criterion(point: Point, unit: float) -> float:
     return point.deviance / unit + PRICE * len(point.free)
 
 
+def ahead(one: Point, other: Point) -> float:
+    """By how many units the criterion of the first is better than that of the second."""
+    unit = worth([one, other])
+    return criterion(other, unit) - criterion(one, unit)
+
+
+def earned(before: Point, after: Point, doubt: float = 0.0) -> float:
+    """By how many units an addition makes the criterion better, were its deviance larger by `doubt`.
+
+    A unit is worth no more than it is to the size of what was added, by whichever is known best: the slope of a slow
+    effect is led by slow errors, which most other parameters hardly feel.
+    """
+    added = [e for e in after.structure.effects if e.screen is not None and e not in before.structure.effects]
+    sizes = [after.unit_by([e.screen.gain]) for e in added if e.screen is not None and e.screen.gain in after.free]
+    unit = max(worth([before, after]), min((u for u in sizes if math.isfinite(u)), default=1.0))
+    return criterion(before, unit) - criterion(after, unit) - doubt / unit
+
+
 def earns(before: Point, after: Point, doubt: float = 0.0) -> bool:
     """Whether an addition earns its place, even were its deviance larger by `doubt`."""
-    unit = worth([before, after])
-    return criterion(before, unit) - criterion(after, unit) - doubt / unit > LEAST
+    return earned(before, after, doubt) > LEAST
 
 
 def weights(criteria: Sequence[float]) -> FloatArray:

@@ -27,7 +27,7 @@ from twin import ascent, compare, identify, likelihood, meetings, ready, screeni
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.likelihood import Case, Point
-from twin.plausibility import plausible
+from twin.plausibility import cornered, plausible
 from twin.screening import Entry
 
 FloatArray = NDArray[np.float64]
@@ -145,7 +145,8 @@ def relocated(cases: Sequence[Case], point: Point, held: Mapping[str, float]) ->
         return retoothed(cases, point.structure, {**point.values, **rough.values}, held, point.density)
 
     with ThreadPoolExecutor(2) as pool:
-        return min([point, *pool.map(looked, ascent.MEMORIES)], key=lambda p: p.deviance)
+        found = [p for p in pool.map(looked, ascent.MEMORIES) if not cornered(p.values)]
+    return min([point, *found], key=lambda p: p.deviance)
 
 
 def deepen(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
@@ -179,24 +180,19 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
     if not compare.earns(before, after, max(identify.roughness(cases, before), identify.roughness(cases, after))):
         return False
     foreseen = meetings.foreseeable(ready.with_steps(cases, after.structure), after)
-    unsure = any(c.unforeseen is not None for c in foreseen)
-    if unsure and not _preferred(*_adapted(foreseen, before, after, before.density)):
-        return False
+    if any(c.unforeseen is not None for c in foreseen):
+        smaller, larger = _adapted(foreseen, before, after, before.density)
+        if not compare.ahead(larger, smaller) > 0.0:
+            return False
     memory = likelihood.memory_of(cases[0], before.density)
     smaller, larger = before, after
     for shorter in (memory / times for times in FASTER):
         if shorter < BRIEFEST or (compare.worth([smaller, larger]) < WHITE and compare.earns(smaller, larger)):
             break
         smaller, larger = _adapted(cases, before, after, likelihood.density_of(cases[0], shorter))
-        if not _preferred(smaller, larger):
+        if not compare.ahead(larger, smaller) > 0.0:
             return False
     return True
-
-
-def _preferred(smaller: Point, larger: Point) -> bool:
-    """Whether the larger model is worth its parameters."""
-    unit = compare.worth([smaller, larger])
-    return compare.criterion(larger, unit) < compare.criterion(smaller, unit)
 
 
 def _adapted(cases: Sequence[Case], before: Point, after: Point, density: float) -> tuple[Point, Point]:
@@ -294,14 +290,18 @@ def compete(
 
     def keep(found: Sequence[Hypothesis]) -> None:
         for h in found:
-            best[h.added] = min(best.get(h.added, h), h, key=lambda o: o.deviance)
+            # What is bent into something else must not oust what is still itself.
+            best[h.added] = min(best.get(h.added, h), h, key=lambda o: (not plausible(cases, o.point), o.deviance))
+
+    def leading(most: int) -> list[Hypothesis]:
+        return sorted(best.values(), key=lambda h: h.deviance)[:most]
 
     with ThreadPoolExecutor(2) as pool:
         keep(list(pool.map(lambda h: _finish(cases, h, held, density), known)))
         for _ in range(AGAIN):
             near = contest(cases, before, promising)
             keep(list(pool.map(lambda h: _finish(cases, h, held, density), near[:NEAR])))
-            leaders = sorted(best.values(), key=lambda h: h.deviance)[:2]
+            leaders = leading(2)
             smaller = min(
                 pool.map(lambda h: settle(cases, structure, h.point.values, held, density), leaders),
                 key=lambda p: p.deviance,
@@ -316,19 +316,22 @@ def compete(
         # What is easily mistaken for the best is tried in its place: the model without either may have gone astray.
         masks = [e for e in candidates if (e,) not in best and _alike(e, leaders[0])]
         keep(list(pool.map(lambda e: _instead(cases, leaders[0], structure, e, held), masks)))
-        leaders = sorted(best.values(), key=lambda h: h.deviance)[:2]
+        leaders = leading(2)
         # Those that are not far behind the best may only have ended in a lesser valley.
         hoped = max(CLOSE * (before.deviance - leaders[0].deviance), HOPE * compare.LEAST * unit)
         bar = before.deviance - hoped
-        close = [h for h in sorted(best.values(), key=lambda h: h.deviance)[:NEAR] if h.deviance < bar]
+        close = [h for h in leading(NEAR) if h.deviance < bar]
         keep(list(pool.map(lambda h: Hypothesis(h.added, deepen(cases, h.point, held)), close)))
         if unit >= WHITE:
             # Where the likelihood is rough the one that ended in a better valley would win, whatever its effect.
-            leaders = sorted(best.values(), key=lambda h: h.deviance)[:EACH]
-            pairs = list(itertools.permutations([h for h in leaders if h.deviance < bar], 2))
+            rough = [h for h in leading(EACH) if h.deviance < bar]
+            keep(list(pool.map(lambda h: Hypothesis(h.added, relocated(cases, h.point, held)), rough)))
+            pairs = itertools.permutations([h for h in leading(EACH) if h.deviance < bar], 2)
             keep(list(pool.map(lambda pair: _in_place_of(cases, pair[0], pair[1], structure, held), pairs)))
+    leaders = [h for h in leading(len(best)) if plausible(cases, h.point)]
+    unit = compare.worth([before, *(h.point for h in leaders[:1])])
     ranked = sorted(best.values(), key=lambda h: compare.criterion(h.point, unit))
-    sound = [h for h in ranked if plausible(cases, h.point)]
+    sound = [h for h in ranked if h in leaders]
     rivals = [*sound, *(h for h in ranked if h not in sound)]
     winner = None
     for h in sound:

@@ -133,8 +133,8 @@ def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, fl
             continue
         contest = search.contest_of(found.rounds, found.last.structure, effect)
         against = {h.added[0]: max(behind, 0.0) for h, behind in contest.rivals}
-        against |= {w.rival: search.ahead(found.last, w.point) for w in found.swaps if w.effect == effect}
-        without = [search.ahead(found.last, q) for q in found.lesser if effect not in q.structure]
+        against |= {w.rival: compare.ahead(found.last, w.point) for w in found.swaps if w.effect == effect}
+        without = [compare.earned(q, found.last) for q in found.lesser if effect not in q.structure]
         weight = compare.weights([0.0, *against.values(), *([min(without)] if without else [])])
         named[effect] = float(weight[0])
         for rival, w in zip(against, weight[1:], strict=False):
@@ -180,7 +180,7 @@ def _undecided(found: Search) -> tuple[Undecided, ...]:
     out = []
     for swap in found.swaps:
         one, two = swap.effect, swap.rival
-        if search.ahead(found.last, swap.point) < UNSURE:
+        if compare.ahead(found.last, swap.point) < UNSURE:
             text = EFFECTS[one].confused_with.get(two) or EFFECTS[two].confused_with.get(one)
             text = text or "a richer recording: several amplitudes, coast-downs, slow ramps"
             out.append(Undecided((one, two), (named[one], dict(ranking)[two]), text))
@@ -234,8 +234,8 @@ def _beside(found: Search, nameless: Point) -> Point:
 def _next(found: Search) -> Experiment:
     """The input that would tell the closest rivals apart, or fix what is known worst."""
     cases = ready.with_steps(found.cases, found.last.structure)
-    close = [w.point for w in found.swaps if search.ahead(found.last, w.point) < UNSURE]
-    near = sorted(close, key=lambda p: search.ahead(found.last, p))[:1]
+    close = [w.point for w in found.swaps if compare.ahead(found.last, w.point) < UNSURE]
+    near = sorted(close, key=lambda p: compare.ahead(found.last, p))[:1]
     try:
         return experiment.separate([found.last, *near], cases)
     except (BadInput, np.linalg.LinAlgError) as error:

@@ -21,6 +21,8 @@ OWN = 0.8
 FLUNG = 100.0
 #: An encoder that errs by more over a turn is one that nobody would have built in, rad.
 OFF_CENTRE = 0.1
+#: Share of the readings at which friction that varies over a turn is more than nothing.
+RUBS = 0.25
 #: Share of a recording at its beginning and its end that is too little to know a load by.
 BESIDE = 0.05
 #: A stop gives way by no larger share of the travel.
@@ -57,10 +59,17 @@ def _spring(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     return abs(values["spring_rest"] - middle) <= 2.0 * float(np.ptp(places))
 
 
+def cornered(values: Mapping[str, float]) -> bool:
+    """Whether motor or link weighs next to nothing. A link in a gap that does follows every noise: the filter takes
+    whatever it reads for one, and forgets at once, however long its memory is elsewhere.
+    """
+    least, most = likelihood.bounds_of("motor_share")
+    return not 1.5 * least < values["motor_share"] < 1.0 - 1.5 * (1.0 - most)
+
+
 def _joint(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
-    """There is a motor on its other side."""
-    least, _ = likelihood.bounds_of("motor_share")
-    return values["motor_share"] > 1.5 * least
+    """There is a motor on its one side, and something to swing on the other."""
+    return not cornered(values)
 
 
 def _stribeck(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
@@ -79,6 +88,12 @@ def _eccentricity(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     return values["eccentricity"] < OFF_CENTRE
 
 
+def _varying(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+    """It holds the link back on a good part of the way, not where the way ends: that is a stop."""
+    wave = values["friction_variation"] * np.sin(_places(cases) - values["friction_angle"])
+    return float(np.mean(values["coulomb_friction"] + wave > 0.0)) > RUBS
+
+
 def _stop(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     """It stops the link, which comes to it: what gives way further is a spring that grows, and where a recording begins
     nothing has been met.
@@ -86,17 +101,19 @@ def _stop(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     places = _places(cases)
     travel = float(np.ptp(places))
     deepest = max(float(places.max()) - values["stop_upper"], values["stop_lower"] - float(places.min()))
-    return deepest <= GIVES * travel and all(
-        _comes(sign * (_places([case]) - values[stop]) / travel)
+    depths = [
+        sign * (_places([case]) - values[stop]) / travel
         for case in cases
         for stop, sign in (("stop_upper", 1.0), ("stop_lower", -1.0))
-    )
+    ]
+    met = [depth for depth in depths if depth.max() > 0.0]
+    return deepest <= GIVES * travel and (not met or any(_comes(depth) for depth in met))
 
 
 def _comes(depth: NDArray[np.float64]) -> bool:
     """Whether the depths (N,) behind a stop, as shares of the travel, are not those of the beginning alone."""
     away = np.flatnonzero(depth < -APART)
-    return len(away) > 0 and (bool(np.any(depth[away[0] :] > 0.0)) or not np.any(depth > 0.0))
+    return len(away) > 0 and bool(np.any(depth[away[0] :] > 0.0))
 
 
 RULES: Mapping[str, Rule] = {
@@ -108,6 +125,7 @@ RULES: Mapping[str, Rule] = {
     "stribeck_friction": _stribeck,
     "motor_lag": _lag,
     "encoder_eccentricity": _eccentricity,
+    "position_dependent_friction": _varying,
     "end_stop": _stop,
 }
 

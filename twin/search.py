@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from twin import ascent, compare, explain, meetings, ready, screening
 from twin.axis import Structure
@@ -98,14 +98,43 @@ def _grown(
             break
         tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)
         best = explain.relocated(cases, explain.rejudged(cases, best, held), held) if rounds else best
-        this = explain.compete(cases, best, known, open_, held)
-        rounds.append(this)
+        begun = best
+        this = explain.compete(cases, begun, known, open_, held)
         best, winner = this.before, this.rivals[0].point
+        if not this.won and compare.earns(begun, best):
+            # What was tried in vain was tried beside a model that was not at its best.
+            known = []
+            continue
+        rounds.append(this)
         if not this.won:
-            break
+            further = _beyond(cases, this, open_, held)
+            if further is None:
+                break
+            rounds[-1] = replace(this, won=True)
+            rounds.append(further)
+            best, known = further.rivals[0].point, []
+            continue
         best = _plainer(cases, this, held)
         known = [] if best is winner else [this.rivals[0]]
     return best, rounds
+
+
+def _beyond(cases: Sequence[Case], this: Round, candidates: Sequence[str], held: Mapping[str, float]) -> Round | None:
+    """The round after one that nothing won, as if the best had; None where the two together do not earn two places.
+
+    Where two effects are missing, each may be hidden by what the other leaves.
+    """
+    one = this.rivals[0]
+    promises = compare.criterion(this.before, this.unit) - compare.criterion(one.point, this.unit)
+    if this.unit < explain.WHITE or promises < explain.HOPE * compare.LEAST or not plausible(cases, one.point):
+        return None
+    open_ = [c for c in candidates if c not in one.point.structure]
+    further = explain.compete(cases, one.point, [], open_, held)
+    both = further.rivals[0].point
+    # Each of the two has to earn a place of its own.
+    if not further.won or compare.earned(this.before, both) < 2.0 * compare.LEAST:
+        return None
+    return further if explain.shows(cases, this.before, both) else None
 
 
 def _pruned(
@@ -120,6 +149,21 @@ def _pruned(
             break
         best = less
     return best, lesser
+
+
+def _remembered(
+    cases: Sequence[Case], best: Point, begun: Point, held: Mapping[str, float], density: float
+) -> tuple[Point, list[Point]]:  # fmt: skip
+    """The pruned model, judged at this noise density if more of it stands there.
+
+    Half the memory knows a sixteenth of a slow effect, and what has earned its place and shown need not do so twice.
+    """
+    kept, lesser = _pruned(cases, best, begun, held)
+    if kept is best or 1.0 / explain.ALIKE < density / best.density < explain.ALIKE:
+        return kept, lesser
+    fuller, start = (explain.settle(cases, p.structure, p.values, held, density) for p in (best, begun))
+    longer, less = _pruned(cases, fuller, start, held)
+    return (longer, less) if len(longer.structure.named) > len(kept.structure.named) else (kept, lesser)
 
 
 def find(
@@ -147,23 +191,17 @@ def find(
         # What the last model is held against is judged as it is.
         start = rounds[0].before if rounds else best
         begun = explain.settle(cases, first, start.values, held, best.density)
-        best, lesser = _pruned(cases, best, begun, held)
-        begun = min([begun, *(q for q in lesser if q.structure == begun.structure)], key=lambda p: p.deviance)
+        best, lesser = _remembered(cases, best, begun, held, start.density)
+        begun = min((q for q in lesser if q.structure == begun.structure), key=lambda p: p.deviance, default=begun)
         swaps = _swapped(cases, best, lesser, rounds, held)
-        better = max(swaps, key=lambda w: ahead(w.point, best), default=None)
-        if better is None or ahead(better.point, best) <= 0.0:
+        better = max(swaps, key=lambda w: compare.ahead(w.point, best), default=None)
+        if better is None or compare.ahead(better.point, best) <= 0.0:
             break
         # The rival had lost beside what was still missing then; now it is the one that fits, and more may show.
         ousted, known = best, []
         best, lesser = _pruned(cases, better.point, begun, held)
         swaps = [Swap(better.rival, better.effect, ousted)] if better.rival in best.structure else []
     return Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
-
-
-def ahead(one: Point, other: Point) -> float:
-    """By how many units the criterion of the first is better than that of the second."""
-    unit = compare.worth([one, other])
-    return compare.criterion(other, unit) - compare.criterion(one, unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,8 +251,8 @@ def _swapped(
                 tried = [explain.settle(cases, other, values, held, last.density) for values in starts]
                 point = explain.deepen(cases, min(tried, key=lambda p: p.deviance), held)
                 # What does not come close needs no test.
-                far = ahead(last, point) > UNSURE
-                without = min((q for q in lesser if effect not in q.structure), key=lambda q: q.deviance, default=last)
+                far = compare.ahead(last, point) > UNSURE
+                without = min((q for q in lesser if effect not in q.structure), key=lambda q: q.deviance)
                 if plausible(cases, point) and (far or explain.shows(cases, without, point)):
                     out.append(Swap(effect, h.added[0], point))
     return out
