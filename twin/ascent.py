@@ -44,8 +44,9 @@ _RANGES = {
 _LOOSE, _CROWD, _GENERATIONS, _APART, _CHOSEN = 0.01, 32, 9, 1.1, 3
 #: A unit of deviance is worth so little where the motor rattles, or physics is missing.
 _ROUGH = 1.3
-#: The shortest memory of the filter from which on it is lengthened, s, and how often it is at most.
-_BRIEF, _RUNGS = 0.007, 12
+#: The shortest memory of the filter from which on it is lengthened, s, how often it is at most, and up to where
+#: whatever comes of it: teeth ring for so long, and what forgets sooner may do well with any.
+_BRIEF, _RUNGS, _RINGS = 0.007, 12, 0.05
 #: Coarse values are looked for in so many parts of a recording, of so many seconds each, and the way on from there in
 #: longer parts: more would say no more of where the valleys lie, and take longer.
 _PARTS, _LASTING, _LONGER = 5, 4.0, 12.0
@@ -154,10 +155,11 @@ def _lengthened(
     shortest = _shortest(cases)
     points: list[Point] = []
     for rung in range(_RUNGS):
-        density = likelihood.density_of(cases[0], shortest * 2.0 ** (0.5 * rung))
+        memory = shortest * 2.0 ** (0.5 * rung)
+        density = likelihood.density_of(cases[0], memory)
         points.append(likelihood.climb(cases, structure, values, density, free, rounds=15, tolerance=1.0))
         values = points[-1].values
-        if min(p.deviance for p in points) < min(p.deviance for p in points[-2:]):
+        if memory > _RINGS and min(p.deviance for p in points) < min(p.deviance for p in points[-2:]):
             break
     return min(points, key=lambda p: p.deviance)
 
@@ -191,6 +193,12 @@ def _bred(cases: Sequence[Case], point: Point) -> list[dict[str, float]]:
     return [valued(x) for x in chosen]
 
 
+def _ended(point: Point) -> bool:
+    """Whether gap, shares or teeth lie at an end of what they may be."""
+    bounds = {n: likelihood.bounds_of(n) for n in _RANGES if n in point.free}
+    return any(point.values[n] in pair for n, pair in bounds.items())
+
+
 def likeliest_teeth(
     cases: Sequence[Case], structure: Structure, values: Mapping[str, float], density: float
 ) -> dict[str, float]:
@@ -213,7 +221,7 @@ def refine(cases: Sequence[Case], structure: Structure, begun: Sequence[Point], 
     best = likeliest(ready.completed(structure, p.values) for p in begun)
     # Where the shortest memory is the best that there is, it is physics that is missing, not the right valley.
     remembers = likelihood.memory_of(seen[0], best.density) > 1.1 * _shortest(seen)
-    if best.unit > _ROUGH and remembers and (bred := _bred(mine, best)):
+    if remembers and (best.unit > _ROUGH or _ended(best)) and (bred := _bred(mine, best)):
         best = min(best, likeliest(bred), key=lambda p: p.deviance)
     return likelihood.fit(mine, structure, best.values, free, best.density)
 
