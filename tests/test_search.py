@@ -140,56 +140,6 @@ def test_friction_that_acts_only_where_the_way_ends_is_a_stop() -> None:
         assert plausible(cases, likelihood.evaluate(cases, structure, tried, 1.0)) is right, (angle, coulomb)
 
 
-def test_a_motor_that_carries_next_to_no_link_is_no_better_place(monkeypatch) -> None:
-    """From where gap and shares are looked for anew a climb may end where the link weighs nothing."""
-    structure, nothing = Structure.of(BASE), np.eye(0)
-    point = likelihood.Point(structure, {"motor_share": 0.3}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing)
-    monkeypatch.setattr(ready, "with_steps", lambda cases, structure: cases)
-    monkeypatch.setattr(ready, "completed", lambda structure, values: values)
-    monkeypatch.setattr(explain.ascent, "coarse", lambda cases, structure, values, held, memory: point)
-    for share, taken in ((0.2, True), (0.979, False), (0.021, False)):
-        better = replace(point, values={"motor_share": share}, deviance=-1000.0)
-        monkeypatch.setattr(explain, "retoothed", lambda *args, better=better: better)
-        assert (explain.relocated((), point, {}) is better) is taken
-
-
-def test_two_effects_that_hide_each_other_are_found_together(monkeypatch) -> None:
-    """Neither earns a place alone; what both do has to be worth two."""
-    base, nothing = Structure.of(BASE), np.eye(0)
-    before = likelihood.Point(base, {}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing)
-    one = replace(before, structure=base.with_("spring"), deviance=-0.5 * compare.LEAST)
-    monkeypatch.setattr(search, "plausible", lambda cases, p: True)
-    monkeypatch.setattr(compare, "worth", lambda points: explain.WHITE)
-    monkeypatch.setattr(explain, "shows", lambda cases, smaller, larger: True)
-    alone = explain.Round(before, (explain.Hypothesis(("spring",), one),), explain.WHITE, won=False)
-    for worth, found in ((2.2, True), (1.8, False)):
-        both = replace(one, structure=one.structure.with_("gravity"), deviance=-explain.WHITE * worth * compare.LEAST)
-        second = explain.Round(one, (explain.Hypothesis(("gravity",), both),), explain.WHITE)
-        monkeypatch.setattr(explain, "compete", lambda *args, second=second: second)
-        assert search._beyond((), alone, ("spring", "gravity"), {}) is (second if found else None)
-    # Where units are white there is nothing that could hide it, and what promises nothing is not followed.
-    assert search._beyond((), replace(alone, unit=1.0), ("spring", "gravity"), {}) is None
-    faint = replace(alone, rivals=(explain.Hypothesis(("spring",), replace(one, deviance=-1.0)),))
-    assert search._beyond((), faint, ("spring", "gravity"), {}) is None
-
-
-def test_what_a_short_memory_does_not_know_of_is_judged_by_a_longer_one(monkeypatch) -> None:
-    """An effect that has earned its place is not dropped because a filter that forgets faster cannot see it."""
-    base, nothing = Structure.of(BASE), np.eye(0)
-    begun = likelihood.Point(base, {}, 16.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing)
-    best = replace(begun, structure=base.with_("spring"), deviance=-0.2 * compare.LEAST)
-    for gain, kept in ((5.0, True), (0.5, False)):
-
-        def settled(cases, structure, values, held, density, gain=gain):
-            size = (0.2 if density == 16.0 else gain) if "spring" in structure else 0.0
-            return replace(begun, structure=structure, density=density, deviance=-size * compare.LEAST)
-
-        monkeypatch.setattr(explain, "settle", settled)
-        judged, lesser = search._remembered((), best, begun, {}, 1.0)
-        assert ("spring" in judged.structure) is kept
-        assert {q.density for q in lesser} == {judged.density} == {1.0 if kept else 16.0}
-
-
 def test_a_weak_torque_shows_although_a_filter_that_forgets_fast_does_not_see_it() -> None:
     """Nothing rattles here, so that what a long memory says needs no second opinion."""
     rng = np.random.default_rng(21)

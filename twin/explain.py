@@ -27,7 +27,7 @@ from twin import ascent, compare, identify, likelihood, meetings, ready, screeni
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.likelihood import Case, Point
-from twin.plausibility import cornered, plausible
+from twin.plausibility import plausible
 from twin.screening import Entry
 
 FloatArray = NDArray[np.float64]
@@ -145,8 +145,7 @@ def relocated(cases: Sequence[Case], point: Point, held: Mapping[str, float]) ->
         return retoothed(cases, point.structure, {**point.values, **rough.values}, held, point.density)
 
     with ThreadPoolExecutor(2) as pool:
-        found = [p for p in pool.map(looked, ascent.MEMORIES) if not cornered(p.values)]
-    return min([point, *found], key=lambda p: p.deviance)
+        return min([point, *pool.map(looked, ascent.MEMORIES)], key=lambda p: p.deviance)
 
 
 def deepen(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:

@@ -59,17 +59,10 @@ def _spring(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     return abs(values["spring_rest"] - middle) <= 2.0 * float(np.ptp(places))
 
 
-def cornered(values: Mapping[str, float]) -> bool:
-    """Whether motor or link weighs next to nothing. A link in a gap that does follows every noise: the filter takes
-    whatever it reads for one, and forgets at once, however long its memory is elsewhere.
-    """
-    least, most = likelihood.bounds_of("motor_share")
-    return not 1.5 * least < values["motor_share"] < 1.0 - 1.5 * (1.0 - most)
-
-
 def _joint(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     """There is a motor on its one side, and something to swing on the other."""
-    return not cornered(values)
+    least, most = likelihood.bounds_of("motor_share")
+    return 1.5 * least < values["motor_share"] < 1.0 - 1.5 * (1.0 - most)
 
 
 def _stribeck(cases: Sequence[Case], values: Mapping[str, float]) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from twin import ascent, compare, explain, meetings, ready, screening
 from twin.axis import Structure
@@ -98,43 +98,14 @@ def _grown(
             break
         tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)
         best = explain.relocated(cases, explain.rejudged(cases, best, held), held) if rounds else best
-        begun = best
-        this = explain.compete(cases, begun, known, open_, held)
-        best, winner = this.before, this.rivals[0].point
-        if not this.won and compare.earns(begun, best):
-            # What was tried in vain was tried beside a model that was not at its best.
-            known = []
-            continue
+        this = explain.compete(cases, best, known, open_, held)
         rounds.append(this)
+        best, winner = this.before, this.rivals[0].point
         if not this.won:
-            further = _beyond(cases, this, open_, held)
-            if further is None:
-                break
-            rounds[-1] = replace(this, won=True)
-            rounds.append(further)
-            best, known = further.rivals[0].point, []
-            continue
+            break
         best = _plainer(cases, this, held)
         known = [] if best is winner else [this.rivals[0]]
     return best, rounds
-
-
-def _beyond(cases: Sequence[Case], this: Round, candidates: Sequence[str], held: Mapping[str, float]) -> Round | None:
-    """The round after one that nothing won, as if the best had; None where the two together do not earn two places.
-
-    Where two effects are missing, each may be hidden by what the other leaves.
-    """
-    one = this.rivals[0]
-    promises = compare.criterion(this.before, this.unit) - compare.criterion(one.point, this.unit)
-    if this.unit < explain.WHITE or promises < explain.HOPE * compare.LEAST or not plausible(cases, one.point):
-        return None
-    open_ = [c for c in candidates if c not in one.point.structure]
-    further = explain.compete(cases, one.point, [], open_, held)
-    both = further.rivals[0].point
-    # Each of the two has to earn a place of its own.
-    if not further.won or compare.earned(this.before, both) < 2.0 * compare.LEAST:
-        return None
-    return further if explain.shows(cases, this.before, both) else None
 
 
 def _pruned(
@@ -149,21 +120,6 @@ def _pruned(
             break
         best = less
     return best, lesser
-
-
-def _remembered(
-    cases: Sequence[Case], best: Point, begun: Point, held: Mapping[str, float], density: float
-) -> tuple[Point, list[Point]]:  # fmt: skip
-    """The pruned model, judged at this noise density if more of it stands there.
-
-    Half the memory knows a sixteenth of a slow effect, and what has earned its place and shown need not do so twice.
-    """
-    kept, lesser = _pruned(cases, best, begun, held)
-    if kept is best or 1.0 / explain.ALIKE < density / best.density < explain.ALIKE:
-        return kept, lesser
-    fuller, start = (explain.settle(cases, p.structure, p.values, held, density) for p in (best, begun))
-    longer, less = _pruned(cases, fuller, start, held)
-    return (longer, less) if len(longer.structure.named) > len(kept.structure.named) else (kept, lesser)
 
 
 def find(
@@ -191,7 +147,7 @@ def find(
         # What the last model is held against is judged as it is.
         start = rounds[0].before if rounds else best
         begun = explain.settle(cases, first, start.values, held, best.density)
-        best, lesser = _remembered(cases, best, begun, held, start.density)
+        best, lesser = _pruned(cases, best, begun, held)
         begun = min((q for q in lesser if q.structure == begun.structure), key=lambda p: p.deviance, default=begun)
         swaps = _swapped(cases, best, lesser, rounds, held)
         better = max(swaps, key=lambda w: compare.ahead(w.point, best), default=None)
