@@ -60,12 +60,12 @@ def test_the_filter_is_the_one_of_the_textbook(speed: bool) -> None:
     # What friction does within a step to the noise of that step is left out.
     _, apart = van_loan(0.0, noise.density, 0.5 * noise.density / share**2)
     _, one = van_loan(0.0, noise.density, 0.0)
-    merge = np.kron(np.outer(np.ones(2), [1.0 - share, share]), np.eye(2))
+    weights = np.array([1.0 - share, share])
+    merge = np.kron(np.outer(np.ones(2), weights), np.eye(2))
     joined = np.kron(np.outer(np.ones(2), [1.0, 0.0]), np.eye(2))
     # What is noted at a stamp is the state before it is corrected; whether link and motor touch is decided then.
     touching = np.abs(run.states[:, 2]) >= half * (1.0 - 1e-9)
     assert 0.1 < np.mean(touching) < 0.9
-    weights = np.array([1.0 - share, share])
     seen = np.zeros(4)
     seen[1 if speed else 0] = 1.0
     c = np.kron(np.ones((2, 2)), np.diag([noise.position, noise.velocity]))

@@ -61,8 +61,8 @@ def earned(before: Point, after: Point, doubt: float = 0.0) -> float:
     A unit is worth no more than it is to the size of what was added, by whichever is known best: the slope of a slow
     effect is led by slow errors, which most other parameters hardly feel.
     """
-    added = [e for e in after.structure.effects if e.screen is not None and e not in before.structure.effects]
-    sizes = [after.unit_by([e.screen.gain]) for e in added if e.screen is not None and e.screen.gain in after.free]
+    added = [e.screen.gain for e in after.structure.effects if e.screen and e not in before.structure.effects]
+    sizes = [after.unit_by([gain]) for gain in added if gain in after.free]
     unit = max(worth([before, after]), min((u for u in sizes if math.isfinite(u)), default=1.0))
     return criterion(before, unit) - criterion(after, unit) - doubt / unit
 

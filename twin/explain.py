@@ -327,10 +327,10 @@ def compete(
             keep(list(pool.map(lambda h: Hypothesis(h.added, relocated(cases, h.point, held)), rough)))
             pairs = itertools.permutations([h for h in leading(EACH) if h.deviance < bar], 2)
             keep(list(pool.map(lambda pair: _in_place_of(cases, pair[0], pair[1], structure, held), pairs)))
-    leaders = [h for h in leading(len(best)) if plausible(cases, h.point)]
-    unit = compare.worth([before, *(h.point for h in leaders[:1])])
+    unbent = [h for h in leading(len(best)) if plausible(cases, h.point)]
+    unit = compare.worth([before, *(h.point for h in unbent[:1])])
     ranked = sorted(best.values(), key=lambda h: compare.criterion(h.point, unit))
-    sound = [h for h in ranked if h in leaders]
+    sound = [h for h in ranked if h in unbent]
     rivals = [*sound, *(h for h in ranked if h not in sound)]
     winner = None
     for h in sound:
