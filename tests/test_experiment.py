@@ -78,9 +78,9 @@ def fitted(recordings: list[Recording], *effects: str) -> tuple[Point, list[Case
 PAIRS = [("coulomb_friction", "quadratic_drag"), ("motor_lag", "input_delay")]
 
 
-def gains(pair: tuple[str, str], truth: int) -> tuple[float, float]:
+def gains(pair: tuple[str, str], truth: int, seed: int) -> tuple[float, float]:
     """Log-likelihood that the truth gains with the designed input, and per as many seconds of the first one again."""
-    first = played((pair[truth],), *steps())
+    first = played((pair[truth],), *steps(), seed=seed)
     rivals = [fitted([first], effect)[0] for effect in pair]
     designed = separate(rivals, [likelihood.prepare(first, rivals[0].structure)])
     assert len(designed.time)
@@ -90,17 +90,27 @@ def gains(pair: tuple[str, str], truth: int) -> tuple[float, float]:
         return 0.5 * (both[1 - truth].deviance - both[truth].deviance - before)
 
     before = rivals[1 - truth].deviance - rivals[truth].deviance
-    once = gained(played((pair[truth],), designed.time, designed.input, seed=1))
-    again = gained(played((pair[truth],), *steps(), seed=1))
+    once = gained(played((pair[truth],), designed.time, designed.input, seed=seed + 100))
+    again = gained(played((pair[truth],), *steps(), seed=seed + 100))
     return once, again * float(designed.time[-1]) / 8.0
 
 
 @pytest.mark.parametrize("pair", PAIRS, ids="-".join)
 def test_the_designed_input_tells_rivals_apart_whichever_is_true(pair):
-    """It is made for the truth under which the two are harder to tell apart."""
-    once, again = np.transpose([gains(pair, truth) for truth in (0, 1)])
-    assert once.min() > experiment.NEEDED
-    assert once.min() > 1.2 * again.min()
+    """It is made for the truth under which the two are harder to tell apart; over four noises, since each has luck."""
+    once, again = np.mean([np.min([gains(pair, t, seed) for t in (0, 1)], axis=0) for seed in range(4)], axis=0)
+    assert once > experiment.NEEDED
+    assert once > 1.5 * again
+
+
+def test_what_a_rival_has_but_does_not_use_does_not_make_it_another_truth():
+    """Where drag is true the other's dry friction ends at zero: that rig drag explains, too, and no input can tell."""
+    point, _ = fitted([played(("quadratic_drag",), *steps())], "quadratic_drag")
+    other, _ = fitted([played((), *steps())], "coulomb_friction")
+    idle = replace(other, values={**other.values, "coulomb_friction": 0.0})
+    busy = replace(other, values={**other.values, "coulomb_friction": 0.8})
+    assert [p.truth for p in experiment._pairs([point, idle])] == [point]
+    assert [p.truth for p in experiment._pairs([point, busy])] == [point, busy]
 
 
 def test_a_smaller_model_within_a_larger_one_is_asked_one_way_only():
