@@ -21,7 +21,7 @@ from twin.archive import open_fmu
 from twin.cli import main
 from twin.control import design
 from twin.controller import Controller, dumps
-from twin.cosim import Runner, make_reference, simulate
+from twin.cosim import make_reference, simulate
 from twin.errors import BadInput
 from twin.model import Model
 from twin.model import dumps as model_text
@@ -43,9 +43,8 @@ KINDS: dict[str, Callable[[Controller, Path], Path]] = {
 
 
 @pytest.fixture(autouse=True)
-def local_compiler(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> None:
-    if "every_platform" not in request.node.name:
-        monkeypatch.setattr(compilers, "has_zig", lambda: False)
+def local_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compilers, "has_zig", lambda: False)
 
 
 @pytest.fixture(scope="module")
@@ -205,21 +204,6 @@ def test_abuse_under_sanitizers(loop: tuple[Model, Controller, Reference], tmp_p
         (tmp_path / name).write_text(text)
     done = abuse(tmp_path, fmi)
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
-
-
-@pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="the extra `native` is not installed")
-@pytest.mark.parametrize("fmi", [2, 3])
-def test_it_is_compiled_for_every_platform(loop: tuple[Model, Controller, Reference], tmp_path: Path, fmi: int) -> None:
-    made = loop[1]
-    fmu = controller_fmu.export_native(made, tmp_path / "controller.fmu", fmi)
-    folders = {name.split("/")[1] for name in zipfile.ZipFile(fmu).namelist() if name.startswith("binaries/")}
-    assert folders == {target.folders[fmi] for target in compilers.TARGETS}
-    with running(open_fmu(fmu), INPUTS, ["duty"]) as ruler:
-        ruler.start({})
-        wanted = [0.001, 0.0, 0.0]
-        got = [ruler.step(i * made.sample_time, made.sample_time, [*wanted, 0.0])[0] for i in range(20)]
-    text = Runner(made)
-    np.testing.assert_allclose(got, [text.sample(*wanted, 0.0) for _ in range(20)], rtol=1e-9)
 
 
 def test_the_system_connects_both(loop: tuple[Model, Controller, Reference], tmp_path: Path) -> None:
