@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from axis_runs import run, steps
 
 from twin import compare, explain, kernel, likelihood, meetings, ready, search
@@ -188,3 +189,24 @@ def test_a_rival_stands_where_another_does_with_its_own_effect(monkeypatch) -> N
     )
     assert moved.added == ("motor_lag",) and moved.point.structure == one.structure
     assert moved.point.values == {"input_gain": 0.4, "backlash_gap": 0.02, "lag_time": 0.01}
+
+
+@pytest.mark.parametrize("coasting", [False, True])
+def test_dry_friction_may_be_one_sided_where_nothing_ever_coasts(coasting: bool) -> None:
+    """A dead-band that is wider on one side does the same while the drive pushes; coasting tells them apart."""
+    rng = np.random.default_rng(4)
+    plain = Structure.of(["inertia", "viscous_friction", "dead_band", "coulomb_friction"])
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0,
+              "coulomb_friction": 0.8}  # fmt: skip
+    time, count = 0.002 * np.arange(6000), 2.0 * np.pi / 16384.0
+    pushed = np.where(time // 0.7 % 2.0 < 1.0, 1.0, -1.0) * np.where(time // 2.8 % 2.0 < 1.0, 20.0, 35.0)
+    duty = np.where(time % 0.7 < 0.35, pushed, 0.0) if coasting else pushed
+    y, _ = run(plain, values, time, duty + 0.05 * rng.standard_normal(len(time)) * (duty != 0.0))
+    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
+    last = explain.settle(cases, plain, values, {}, likelihood.density_of(cases[0], 0.05))
+    rivals = {w.rival: w for w in search._wider(cases, last, {})}
+    assert ("friction_asymmetry" in rivals) is not coasting
+    if not coasting:
+        found = rivals["friction_asymmetry"]
+        assert abs(found.point.values["friction_asymmetry"]) == last.values["coulomb_friction"]
+        assert compare.ahead(last, found.point) < 1.0

@@ -160,7 +160,7 @@ def offered(cases: Sequence[Case], candidates: Sequence[str]) -> list[str]:
 
 
 #: Starts of such a candidate that are looked at closely, with derivatives.
-_CLOSELY = 6
+_CLOSELY = 3
 
 
 @dataclass(frozen=True)
@@ -264,13 +264,11 @@ def _direct_starts(
     structure = extended(base.structure, effect)
     unmoved = {k: v for k, v in neutral(effect).items() if k not in base.values}
     places = [{**base.values, **unmoved, **_inside(t)} for t in trials]
-    if len(places) <= _CLOSELY:
-        points = [likelihood.evaluate(cases, structure, values, base.density, free) for values in places]
-    else:
-        # So many starts are there because the valley is narrow: the likeliest walk a little before they are judged.
-        places.sort(key=lambda v: likelihood.evaluate(cases, structure, v, base.density).deviance)
-        near = places[: _CLOSELY // 2]
-        points = [likelihood.climb(cases, structure, v, base.density, free, rounds=5, tolerance=1.0) for v in near]
+    # A valley may be narrow, and its walls are what a place beside it shows: the likeliest walk a little before they
+    # are judged.
+    places.sort(key=lambda v: likelihood.evaluate(cases, structure, v, base.density).deviance)
+    near = places[:_CLOSELY]
+    points = [likelihood.climb(cases, structure, v, base.density, free, rounds=5, tolerance=1.0) for v in near]
     return [Start(p.values, {}, base.deviance - p.deviance + _promised(p)) for p in points]
 
 

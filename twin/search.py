@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from twin import ascent, compare, explain, meetings, ready, screening
+from twin import ascent, compare, explain, likelihood, meetings, ready, screening
 from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS
 from twin.explain import Hypothesis, Round
@@ -157,7 +158,8 @@ def find(
         ousted, known = best, []
         best, lesser = _pruned(cases, better.point, begun, held)
         swaps = [Swap(better.rival, better.effect, ousted)] if better.rival in best.structure else []
-    return Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
+    best, wider = _widened(cases, best, held)
+    return Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), (*swaps, *wider))
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,6 +214,38 @@ def _swapped(
                 if plausible(cases, point) and (far or explain.shows(cases, without, point)):
                     out.append(Swap(effect, h.added[0], point))
     return out
+
+
+def _wider(cases: Sequence[Case], last: Point, held: Mapping[str, float]) -> list[Swap]:
+    """The last model with what contains one of its effects, and is as large, where that fits about as well.
+
+    Dry friction that differs between the directions is dry friction and a dead-band that is wider on one side, unless
+    something moves that is not driven: the simpler one is named, but little speaks for it.
+    """
+    out = []
+    for effect, other in itertools.product(last.structure.named, CANDIDATES):
+        more, own = EFFECTS[other], EFFECTS[effect].screen
+        if effect not in more.includes or other in last.structure or not own or not more.screen:
+            continue
+        longer = last.structure.with_(other)
+        mine, free = ready.with_steps(cases, longer), tuple(last.free)
+        size = last.values[own.gain]
+        starts = [{**ready.completed(longer, last.values), more.screen.gain: s * size} for s in (1.0, -1.0)]
+        fits = [likelihood.climb(mine, longer, v, last.density, free) for v in starts if likelihood.within_bounds(v)]
+        best = min(fits, key=lambda p: p.deviance, default=None)
+        if best and compare.ahead(last, best) < UNSURE:
+            out.append(Swap(effect, other, best))
+    return out
+
+
+def _widened(cases: Sequence[Case], last: Point, held: Mapping[str, float]) -> tuple[Point, list[Swap]]:
+    """The last model, or the likeliest that contains one of its effects; and what could as well stand there."""
+    wider = _wider(cases, last, held)
+    better = max(wider, key=lambda w: compare.ahead(w.point, last), default=None)
+    if better is None or compare.ahead(better.point, last) <= 0.0:
+        return last, wider
+    freed = explain.settle(cases, better.point.structure, better.point.values, held, last.density)
+    return freed, [Swap(better.rival, better.effect, last)]
 
 
 def _plainer(cases: Sequence[Case], this: Round, held: Mapping[str, float]) -> Point:

@@ -31,7 +31,8 @@ EFFECT = Effect(
     sentence="Dry friction is larger forwards than backwards by twice {friction_asymmetry}.",
     reference="Janot, Gautier, Brunot, Data set and reference models of EMPS, 2019",
     confused_with={
-        "constant_offset": "rest on either side: an offset acts at rest and pushes one way, friction only resists"
+        "constant_offset": "rest on either side: an offset acts at rest and pushes one way, friction only resists",
+        "coulomb_friction": "coasting both ways: while the drive pushes, a dead-band wider on one side does the same",
     },
     screen=Screen("friction_asymmetry"),
     includes=("coulomb_friction",),
