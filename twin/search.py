@@ -143,19 +143,23 @@ def find(
     known = explain.from_afar(cases, far, held, best.density)
     rounds: list[Round] = []
     for _ in range(TURNS):
-        best, more = _grown(cases, best, known, candidates, held, tell)
+        grown, more = _grown(cases, best, known, candidates, held, tell)
         rounds += more
         # What the last model is held against is judged as it is.
-        start = rounds[0].before if rounds else best
-        begun = explain.settle(cases, first, start.values, held, best.density)
-        best, lesser = _pruned(cases, best, begun, held)
+        start = rounds[0].before if rounds else grown
+        begun = explain.settle(cases, first, start.values, held, grown.density)
+        best, lesser = _pruned(cases, grown, begun, held)
         begun = min((q for q in lesser if q.structure == begun.structure), key=lambda p: p.deviance, default=begun)
         swaps = _swapped(cases, best, lesser, rounds, held)
         better = max(swaps, key=lambda w: compare.ahead(w.point, best), default=None)
+        known = []
         if better is None or compare.ahead(better.point, best) <= 0.0:
-            break
+            if best.structure == grown.structure:
+                break
+            # What did not last may have stood before what would.
+            continue
         # The rival had lost beside what was still missing then; now it is the one that fits, and more may show.
-        ousted, known = best, []
+        ousted = best
         best, lesser = _pruned(cases, better.point, begun, held)
         swaps = [Swap(better.rival, better.effect, ousted)] if better.rival in best.structure else []
     best, wider = _widened(cases, best, held)
