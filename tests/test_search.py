@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin import compare, explain, kernel, likelihood, meetings, ready, search
+from twin import compare, explain, kernel, likelihood, meetings, ready, screening, search
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.plausibility import plausible
@@ -210,3 +210,49 @@ def test_dry_friction_may_be_one_sided_where_nothing_ever_coasts(coasting: bool)
         found = rivals["friction_asymmetry"]
         assert abs(found.point.values["friction_asymmetry"]) == last.values["coulomb_friction"]
         assert compare.ahead(last, found.point) < 1.0
+
+
+def test_what_did_not_last_is_followed_by_another_look(monkeypatch) -> None:
+    """The first round's winner may have kept out what is there: once it is pruned, the others are asked again."""
+    nothing = np.eye(0)
+    base = likelihood.Point(Structure.of(BASE), {}, 1.0, (), 3000.0, 1.0, nothing, np.zeros(0), nothing)
+    wave, push = (replace(base, structure=base.structure.with_(e)) for e in ("gravity", "constant_offset"))
+    grown, asked = iter([wave, push]), []
+
+    def grow(cases, best, known, candidates, held, tell):
+        asked.append((best, list(known)))
+        return next(grown), []
+
+    monkeypatch.setattr(search.ascent, "start", lambda recordings, first, held: ([], [base]))
+    monkeypatch.setattr(search.ascent, "refine", lambda cases, structure, begun, held: base)
+    monkeypatch.setattr(search.ascent, "polish", lambda cases, point: ([], point))
+    monkeypatch.setattr(search.explain, "judged", lambda cases, point: 1.0)
+    monkeypatch.setattr(search.explain, "settle", lambda cases, structure, values, held, density: base)
+    monkeypatch.setattr(search.explain, "contest", lambda cases, base, candidates: [])
+    monkeypatch.setattr(search.explain, "from_afar", lambda cases, far, held, density: ["seen from afar"])
+    monkeypatch.setattr(search.screening, "offered", lambda cases, candidates: candidates)
+    monkeypatch.setattr(search, "_grown", grow)
+    monkeypatch.setattr(search, "_pruned", lambda cases, best, begun, held: (base if best is wave else best, [base]))
+    found = search.find([], base.structure, {})
+    assert asked == [(base, ["seen from afar"]), (base, [])]
+    assert found.last is push
+
+
+def test_a_delay_is_judged_where_a_few_steps_from_its_start_lead() -> None:
+    """Beside its valley a delay looks worse than none; what it promises is what it has once it is inside."""
+    rng = np.random.default_rng(8)
+    plain = Structure.of(["inertia", "viscous_friction", "dead_band"])
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
+    time, count = 0.002 * np.arange(4000), 2.0 * np.pi / 16384.0
+    duty = steps(rng, len(time), 150, 40.0)
+    y, _ = run(plain.with_("input_delay"), values | {"delay": 0.001}, time, duty)
+    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
+    base = explain.settle(cases, plain, values, {}, likelihood.density_of(cases[0], 0.1))
+    trials = [{"delay": t} for t in (0.006, 0.015)]
+    longer = plain.with_("input_delay")
+    begun = min(likelihood.evaluate(cases, longer, {**base.values, **t}, base.density).deviance for t in trials)
+    free = (*base.free, "delay")
+    best = max(screening._direct_starts(cases, base, "input_delay", trials, free), key=lambda s: s.promise)
+    assert begun > base.deviance
+    assert best.values["delay"] == pytest.approx(0.001, abs=2e-4)
+    assert best.promise > 0.9 * (base.deviance - explain.settle(cases, longer, best.values, {}, base.density).deviance)
