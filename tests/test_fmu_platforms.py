@@ -84,10 +84,11 @@ def host(target: str, folder: Path) -> Path:
     assert fmpy is not None and fmpy.origin is not None
     headers = Path(fmpy.origin).parent / "c-code"
     out = folder / "master.exe"
-    # Without symbols, as the libraries: zig makes Windows' C library once for each such choice, in a minute and a half.
+    # Without symbols and not beside zig, as the libraries: for each such choice it makes Windows' C library anew, in a
+    # minute and a half.
     zig = [sys.executable, "-m", "ziglang", "cc", "-s", "-target", target, "-O2", "-std=c99", "-I", str(headers)]
     more = [] if "windows" in target else ["-ldl"]
-    subprocess.run([*zig, "-o", str(out), str(MASTER), *more], check=True)
+    subprocess.run([*zig, "-o", str(out), str(MASTER), *more], check=True, cwd=folder)
     return out
 
 
