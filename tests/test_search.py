@@ -10,7 +10,7 @@ from axis_runs import run, steps
 
 from twin import compare, explain, kernel, likelihood, meetings, ready, screening, search
 from twin.axis import Structure
-from twin.effects.catalogue import BASE
+from twin.effects.catalogue import BASE, CANDIDATES
 from twin.plausibility import plausible
 from twin.recording import Recording
 
@@ -204,12 +204,34 @@ def test_dry_friction_may_be_one_sided_where_nothing_ever_coasts(coasting: bool)
     y, _ = run(plain, values, time, duty + 0.05 * rng.standard_normal(len(time)) * (duty != 0.0))
     cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
     last = explain.settle(cases, plain, values, {}, likelihood.density_of(cases[0], 0.05))
-    rivals = {w.rival: w for w in search._wider(cases, last, {})}
+    first = plain.without("coulomb_friction")
+    wider = search._wider(cases, last, first, CANDIDATES, {})
+    rivals = {w.rival: w for w in wider}
     assert ("friction_asymmetry" in rivals) is not coasting
     if not coasting:
         found = rivals["friction_asymmetry"]
         assert abs(found.point.values["friction_asymmetry"]) == last.values["coulomb_friction"]
         assert compare.ahead(last, found.point) < 1.0
+        # What is as good with a parameter more is not named for that.
+        assert search._widened(cases, last, [], wider, {}) == (last, wider)
+        # Neither what was not asked for nor what the first model knows comes into question.
+        assert search._wider(cases, last, first, ("spring",), {}) == []
+        assert search._wider(cases, last, plain, CANDIDATES, {}) == []
+
+
+def test_what_could_stand_for_an_effect_goes_with_it_where_a_larger_one_takes_its_place(monkeypatch) -> None:
+    base, nothing = Structure.of(BASE), np.eye(0)
+    last = likelihood.Point(
+        base.with_("coulomb_friction", "gravity"), {}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing
+    )
+    larger = replace(last, structure=last.structure.with_("friction_asymmetry"), deviance=-20.0)
+    monkeypatch.setattr(explain, "settle", lambda cases, structure, values, held, density: larger)
+    swaps = [search.Swap("coulomb_friction", "load_dependent_friction", last), search.Swap("gravity", "spring", last)]
+    wider = [search.Swap("coulomb_friction", "friction_asymmetry", larger)]
+    best, kept = search._widened((), last, swaps, wider, {})
+    assert best is larger
+    assert [(w.effect, w.rival) for w in kept] == [("gravity", "spring"), ("friction_asymmetry", "coulomb_friction")]
+    assert {w.effect for w in kept} <= set(best.structure.named)
 
 
 def test_what_did_not_last_is_followed_by_another_look(monkeypatch) -> None:

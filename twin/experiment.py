@@ -262,14 +262,14 @@ def library(lost: float, most: float, pace: float, turn: float) -> dict[str, Sig
         )
     for share in (0.1, 0.35, 0.9):
         wave = _there_and_back((_hold(0.6 * pace, level(share)),))
+        blocks[f"square wave {share:g}"] = (*wave * 2, rest)
+    # Little more than what is lost, and briefly, moves the motor in its gap and nothing else: fits to such rattle end
+    # in whichever valley is next, some hundred of deviance apart.
+    for share in (0.35, 0.9):
         quick = _there_and_back((_hold(max(0.12 * pace, 0.04), level(share)),))
         kick = _there_and_back((_hold(0.06, level(share)), _hold(0.24, 0.0)))
-        blocks[f"square wave {share:g}"] = (*wave * 2, rest)
-        if share > 0.1:
-            # Little more than what is lost, and briefly, moves the motor in its gap and nothing else: fits to such
-            # rattle end in whichever valley is next, some hundred of deviance apart, and tell nothing.
-            blocks[f"quick square wave {share:g}"] = (*quick * 6, rest)
-            blocks[f"kicks {share:g}"] = (*kick * 3, rest)
+        blocks[f"quick square wave {share:g}"] = (*quick * 6, rest)
+        blocks[f"kicks {share:g}"] = (*kick * 3, rest)
     halves = np.geomspace(0.8 * pace, max(0.05 * pace, 0.02), 18)
     blocks["chirp"] = (*[_hold(float(h), level(0.6) * (-1.0) ** i) for i, h in enumerate(halves)], rest)
     return blocks
@@ -628,8 +628,7 @@ def _tells(leader: Point, other: Point) -> str:
 
 def _acting(point: Point) -> set[str]:
     """The effects that a model has and that do anything in it."""
-    gains = {e.id: e.screen.gain for e in point.structure.effects if e.screen}
-    return {i for i in point.structure.ids if point.values.get(gains.get(i, ""), 1.0) != 0.0}
+    return {e.id for e in point.structure.effects if not e.screen or point.values[e.screen.gain] != 0.0}
 
 
 def _pairs(rivals: Sequence[Point]) -> list[_Pair]:

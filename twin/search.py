@@ -39,7 +39,7 @@ class Swap:
 @dataclass(frozen=True, eq=False)
 class Search:
     """How a structure was arrived at: the first model, the last, the rounds between, the last less one effect, and the
-    last with one effect exchanged for a rival that had come close to it.
+    last with one effect exchanged for a rival that had come close to it, or for one that contains it.
     """
 
     first: Point
@@ -152,18 +152,18 @@ def find(
         begun = min((q for q in lesser if q.structure == begun.structure), key=lambda p: p.deviance, default=begun)
         swaps = _swapped(cases, best, lesser, rounds, held)
         better = max(swaps, key=lambda w: compare.ahead(w.point, best), default=None)
+        if better is not None and compare.ahead(better.point, best) > 0.0:
+            # The rival had lost beside what was still missing then; now it is the one that fits, and more may show.
+            ousted = best
+            best, lesser = _pruned(cases, better.point, begun, held)
+            swaps = [Swap(better.rival, better.effect, ousted)] if better.rival in best.structure else []
+        elif best.structure == grown.structure:
+            break
+        # What was ousted, or did not last, may have stood before what would.
         known = []
-        if better is None or compare.ahead(better.point, best) <= 0.0:
-            if best.structure == grown.structure:
-                break
-            # What did not last may have stood before what would.
-            continue
-        # The rival had lost beside what was still missing then; now it is the one that fits, and more may show.
-        ousted = best
-        best, lesser = _pruned(cases, better.point, begun, held)
-        swaps = [Swap(better.rival, better.effect, ousted)] if better.rival in best.structure else []
-    best, wider = _widened(cases, best, held)
-    return Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), (*swaps, *wider))
+    wider = _wider(cases, best, first, candidates, held)
+    best, swaps = _widened(cases, best, swaps, wider, held)
+    return Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,36 +220,45 @@ def _swapped(
     return out
 
 
-def _wider(cases: Sequence[Case], last: Point, held: Mapping[str, float]) -> list[Swap]:
+def _wider(
+    cases: Sequence[Case], last: Point, first: Structure, candidates: Sequence[str], held: Mapping[str, float]
+) -> list[Swap]:  # fmt: skip
     """The last model with what contains one of its effects, and is as large, where that fits about as well.
 
     Dry friction that differs between the directions is dry friction and a dead-band that is wider on one side, unless
     something moves that is not driven: the simpler one is named, but little speaks for it.
     """
     out = []
-    for effect, other in itertools.product(last.structure.named, CANDIDATES):
-        more, own = EFFECTS[other], EFFECTS[effect].screen
-        if effect not in more.includes or other in last.structure or not own or not more.screen:
+    for effect, other in itertools.product(last.structure.named, candidates):
+        if effect not in EFFECTS[other].includes or effect in first or other in last.structure:
             continue
-        longer = last.structure.with_(other)
-        mine, free = ready.with_steps(cases, longer), tuple(last.free)
-        size = last.values[own.gain]
-        starts = [{**ready.completed(longer, last.values), more.screen.gain: s * size} for s in (1.0, -1.0)]
-        fits = [likelihood.climb(mine, longer, v, last.density, free) for v in starts if likelihood.within_bounds(v)]
-        best = min(fits, key=lambda p: p.deviance, default=None)
-        if best and compare.ahead(last, best) < UNSURE:
-            out.append(Swap(effect, other, best))
+        own, more = EFFECTS[effect].screen, EFFECTS[other].screen
+        assert own is not None and more is not None
+        longer, size = last.structure.with_(other), last.values[own.gain]
+        mine, known = ready.with_steps(cases, longer), ready.completed(longer, last.values) | dict(held)
+        starts = [known | {more.gain: s * size} for s in (1.0, -1.0) if more.gain not in held]
+        allowed = filter(likelihood.within_bounds, starts)
+        fits = [likelihood.climb(mine, longer, v, last.density, last.free) for v in allowed]
+        found = min(fits, key=lambda p: p.deviance, default=None)
+        if found is not None and compare.ahead(last, found) < UNSURE and plausible(cases, found):
+            out.append(Swap(effect, other, found))
     return out
 
 
-def _widened(cases: Sequence[Case], last: Point, held: Mapping[str, float]) -> tuple[Point, list[Swap]]:
-    """The last model, or the likeliest that contains one of its effects; and what could as well stand there."""
-    wider = _wider(cases, last, held)
-    better = max(wider, key=lambda w: compare.ahead(w.point, last), default=None)
-    if better is None or compare.ahead(better.point, last) <= 0.0:
-        return last, wider
-    freed = explain.settle(cases, better.point.structure, better.point.values, held, last.density)
-    return freed, [Swap(better.rival, better.effect, last)]
+def _widened(
+    cases: Sequence[Case], last: Point, swaps: Sequence[Swap], wider: Sequence[Swap], held: Mapping[str, float]
+) -> tuple[Point, list[Swap]]:  # fmt: skip
+    """The last model, or the likeliest that contains one of its effects if that is worth its parameters; and what
+    could as well stand in the place of what is named then.
+    """
+    likeliest = max(wider, key=lambda w: compare.ahead(w.point, last), default=None)
+    if likeliest is not None:
+        found = likeliest.point
+        freed = explain.settle(cases, found.structure, found.values, held, last.density)
+        if compare.ahead(freed, last) > 0.0:
+            others = [w for w in swaps if w.effect in freed.structure.named]
+            return freed, [*others, Swap(likeliest.rival, likeliest.effect, last)]
+    return last, [*swaps, *wider]
 
 
 def _plainer(cases: Sequence[Case], this: Round, held: Mapping[str, float]) -> Point:
