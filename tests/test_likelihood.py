@@ -95,6 +95,17 @@ def test_what_stretches_say_is_the_sum_of_what_their_readings_say() -> None:
     np.testing.assert_allclose(by_stretch, each, rtol=1e-7, atol=1e-9 * np.abs(pulls).sum())
 
 
+def test_slow_errors_are_seen_where_little_is_judged_too() -> None:
+    """Stretches of the usual length would be too few for the parameters to tell how much the slopes scatter."""
+    whole = made(1.0, duration=12.0)
+    late = np.arange(len(whole.drive.time)) >= 2000
+    units = []
+    for case in (whole, replace(whole, rattling=late)):
+        point = likelihood.climb([case], STRUCTURE, VALUES, likelihood.density_of(case, 0.2), FREE)
+        units.append(point.unit)
+    assert units[0] > 2.0 and units[1] > 0.3 * units[0]
+
+
 def test_values_so_wild_that_the_model_overflows_are_refused_without_a_word() -> None:
     case = made(duration=5.0)
     wild = [VALUES | {"input_gain": gain} for gain in (1e160, 1e300)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from twin import kernel, likelihood, meetings, ready
 from twin.axis import Structure
@@ -17,6 +18,8 @@ VALUES = {
     "input_gain": 0.1, "viscous_friction": 1.0, "dead_band_forward": 4.0, "dead_band_reverse": 5.0,
     "backlash_gap": 0.05, "motor_share": 0.3, "friction_share": 0.85,
 }  # fmt: skip
+TEETH = ready.with_teeth(STRUCTURE)
+SOFT = {**VALUES, "tooth_frequency": 110.0, "tooth_damping": 0.3}
 COUNT = 2.0 * np.pi / 4096.0
 STEP = 0.002
 SECONDS = 24.0
@@ -94,3 +97,57 @@ def test_the_truth_is_as_likely_as_it_should_be_where_only_what_can_be_foreseen_
     # Of so many parameters it is chi-squared: less than three for each in all but one of a thousand.
     assert max(behind[1::2]) < 3.0 * len(VALUES)
     assert max(behind[0::2]) > 5.0 * len(VALUES)
+
+
+def swept(seconds: float = 12.0, top: float = 8.0) -> Recording:
+    """A sine that rises from 0.2 Hz, through the base model with teeth that give."""
+    time = STEP * np.arange(round(seconds / STEP))
+    rate = np.log(top / 0.2) / time[-1]
+    duty = 50.0 * np.sin(2.0 * np.pi * 0.2 * np.expm1(rate * time) / rate)
+    blank = Recording("swept", time, duty, np.zeros(len(duty)), "%", "rad", COUNT)
+    case = likelihood.prepare(blank, TEETH)
+    run = kernel.predict(case.drive, kernel.vector(TEETH, SOFT), kernel.start_state(0.0, 0.0, 0.0))
+    return replace(blank, output=COUNT * np.round(run.reading / COUNT))
+
+
+def test_only_between_turns_in_quick_succession_a_motor_rattles() -> None:
+    levels = {500: 30.0, 540: -30.0, 600: 30.0, 680: -30.0, 1600: 30.0, 1610: 0.0, 1620: 2.0, 1630: -2.0, 2600: 30.0}
+    duty = np.repeat(list(levels.values()), np.diff([0, *levels]))
+    blank = Recording("made", STEP * np.arange(len(duty)), duty, np.zeros(len(duty)), "%", "rad", COUNT)
+    hidden = meetings.rattling(likelihood.prepare(blank, STRUCTURE))
+    # What comes before the first turn and after the last is at rest, and next to nothing is no turn.
+    assert hidden is not None and np.array_equal(np.flatnonzero(hidden), np.arange(500, 680))
+    for other in (replace(blank, input=-3.0 * duty), replace(blank, input=0.1 * duty)):
+        assert np.array_equal(meetings.rattling(likelihood.prepare(other, STRUCTURE)), hidden)
+
+
+@pytest.mark.parametrize("wave", [0.0, 1.0])
+def test_where_nothing_rattles_or_everything_does_all_is_judged(wave: float) -> None:
+    time = STEP * np.arange(5000)
+    duty = 30.0 * (np.sign(np.sin(2.0 * np.pi * 5.0 * time)) if wave else np.ones(5000))
+    blank = Recording("made", time, duty, np.zeros(5000), "%", "rad", COUNT)
+    assert meetings.rattling(likelihood.prepare(blank, STRUCTURE)) is None
+    assert ready.prepare([swept()], STRUCTURE.without("backlash"))[0].rattling is None
+
+
+def test_without_its_rattle_a_recording_leads_to_the_truth_from_nearby() -> None:
+    (case,) = ready.with_steps(ready.prepare([swept()], TEETH), TEETH)
+    assert case.rattling is not None and 0.2 < case.rattling.mean() < 0.8
+    density, free = likelihood.density_of(case, 0.1), ready.free_parameters(TEETH)
+    rng = np.random.default_rng(0)
+    starts = [{n: v * np.exp(0.1 * rng.standard_normal()) for n, v in SOFT.items()} for _ in range(4)]
+
+    def astray(judged: Case) -> list[float]:
+        """How far above the truth's own maximum the climbs end, in deviance per reading that is judged."""
+        readings = np.count_nonzero(np.isfinite(likelihood.innovations(judged, TEETH, SOFT, density).error))
+        ends = [likelihood.climb([judged], TEETH, v, density, free).deviance for v in (SOFT, *starts)]
+        return [(end - min(ends)) / readings for end in ends[1:]]
+
+    assert np.median(astray(case)) < 0.3 * np.median(astray(replace(case, rattling=None)))
+
+
+def test_rattle_is_judged_in_free_runs_and_cut_with_its_recording() -> None:
+    (case,) = ready.prepare([swept()], TEETH)
+    assert likelihood.ahead(case, 1.0, 2.0).rattling is None
+    part = ready.part(case, TEETH, 3.0, 11.0)
+    assert np.array_equal(part.rattling, case.rattling[1500:5501])

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -145,3 +147,12 @@ def test_a_rattling_rig_is_said_to_hide_effects(monkeypatch):
         monkeypatch.setattr(identify, "roughness", lambda cases, point, rough=rough: rough)
         said = extend._remarks(searched(500.0), fit, [])
         assert [s.startswith("The motor rattles in its gap") for s in said] == ([True] if rattles else [])
+
+
+def test_what_is_followed_but_not_judged_is_said(monkeypatch):
+    fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(0.2, 2.0, math.nan)}}
+    monkeypatch.setattr(identify, "roughness", lambda cases, point: 0.0)
+    hidden = {"calm": None, "loud": np.array([True, False, False, False])}
+    cases = [SimpleNamespace(recording=SimpleNamespace(name=n), rattling=h) for n, h in hidden.items()]
+    (said,) = extend._remarks(replace(searched(500.0), cases=tuple(cases)), fit, [])
+    assert said.startswith("loud: in 25 % of what was fitted")

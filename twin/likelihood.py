@@ -44,7 +44,7 @@ ERRS = 5.0
 CHAOS = 0.3
 #: Deviance from which on a change is one that is seen: what is not seen has no slope but the rounding's.
 TRACE = 1e-6
-#: Stretches beyond one for each parameter from which on their scatter is looked at.
+#: Stretches beyond one for each parameter, at least: from fewer nobody could tell how much the slopes scatter.
 LEFT = 4
 #: Far from the maximum that worth says nothing: a climb ends at so many times its tolerance at most.
 MOST_UNITS = 10.0
@@ -67,6 +67,7 @@ class Case:
     start: tuple[float, float]  # position and velocity
     free: NDArray[np.bool_] | None = None  # (N,) where the model runs freely and only that is judged; None: nowhere
     unforeseen: NDArray[np.bool_] | None = None  # (N,) readings that are followed but not judged; None: none
+    rattling: NDArray[np.bool_] | None = None  # (N,) the same, where motor and link come to no rest; None: nowhere
 
 
 def _reading_variance(recording: Recording) -> float:
@@ -223,7 +224,7 @@ def ahead(case: Case, density: float, horizon: float) -> Case:
     """
     settled = min(5.0 * memory_of(case, density), 0.1 * float(case.drive.time[-1]))
     lead = max(settled, LEAST_READINGS * step_of(case))
-    return replace(case, free=np.asarray(case.drive.time % (lead + horizon) >= lead))
+    return replace(case, free=np.asarray(case.drive.time % (lead + horizon) >= lead), rattling=None)
 
 
 def noise_for(case: Case, density: float) -> Noise:
@@ -274,8 +275,9 @@ def pieces(
             # What drifts away in a free run is no reading's noise: the errors of all recordings are weighed alike.
             error[~case.free[at]] = np.nan
             variance = np.ones(len(error))
-        if case.unforeseen is not None:
-            error[case.unforeseen[at]] = np.nan
+        for followed in (case.unforeseen, case.rattling):
+            if followed is not None:
+                error[followed[at]] = np.nan
         yield Innovations(error, variance, run.slopes)
 
 
@@ -323,7 +325,9 @@ def evaluate(
     run: Callable[..., list[Innovations]] | None = None,
     stretch: float = _STRETCH,
 ) -> Point:
-    """Deviance, gradient and information at these values; errors further apart than `stretch` (s) are independent."""
+    """Deviance, gradient and information at these values; errors further apart than `stretch` (s), or less where
+    little is judged, are independent.
+    """
     n = len(free)
     lost = Point(structure, dict(values), density, free, math.inf, math.inf, np.eye(n), np.zeros(n), np.eye(n))
     if not _moves(cases, values):
@@ -332,9 +336,10 @@ def evaluate(
     long = run is None and sum(len(c.drive.time) for c in cases) > AT_ONCE
     seen = () if long else free
     results = [innovations(c, structure, values, density, seen) for c in cases] if run is None else run()
-    z2s, logs, count = [], 0.0, 0
-    for r in results:
+    z2s, logs, count, judged = [], 0.0, 0, 0.0
+    for case, r in zip(cases, results, strict=True):
         ok = np.isfinite(r.error)
+        judged += float(ok.mean() * case.drive.time[-1])
         z2s.append(r.error[ok] ** 2 / r.variance[ok])
         logs += float(np.log(r.variance[ok]).sum())
         count += int(ok.sum())
@@ -346,13 +351,14 @@ def evaluate(
     scale = _scale_of(joined)
     loss = sum(float(_loss(joined[i : i + AT_ONCE] / scale).sum()) for i in range(0, count, AT_ONCE))
     deviance = loss + logs + count * math.log(scale)
+    stretch = min(stretch, judged / (n + LEFT))
     pulls, weights = _by_stretch(cases, structure, values, density, free, scale, None if long else results, stretch)
     normal, gradient, scatter = weights.sum(axis=0), pulls.sum(axis=0), pulls.T @ pulls
     if not np.all(np.isfinite(normal)) or not np.all(np.isfinite(gradient)):
         return lost
     # The maximum has used up a stretch for each parameter (MacKinnon and White, J. Econometrics 29, 1985).
     stretches = len(pulls)
-    scatter = scatter * (stretches / (stretches - n)) if stretches > n + LEFT else normal
+    scatter = scatter * (stretches / max(stretches - n, 1))
     return Point(structure, dict(values), density, free, deviance, scale, normal, gradient, scatter)
 
 

@@ -6,10 +6,14 @@ mean, which meets it at one moment; the jolt that it expects and the one that co
 larger than what the filter thinks possible, and an estimate would bend gap, dead-band and shares until they happen
 together. Three such crossings in a minute outweigh all the rest. So readings around a meeting whose moment is unsure
 by enough to be seen are followed by the filter, but not judged.
+
+Nor are those between turns of the command that follow each other faster than the gears come to rest: which these are is
+known before any model is, so that all models are judged by the same.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -23,6 +27,9 @@ from twin.likelihood import Case, Point
 _WIDE = 2.0
 #: Where more than this share of a recording would not be judged, all of it is: its motor rattles without end.
 MOST = 0.25
+#: A command that turns again after less than this time, s, keeps a motor rattling; less than this share of the largest
+#: does not count as a turn; and so much of a recording is judged at least, or all of it.
+_RESTLESS, _IDLE, _ENOUGH = 0.25, 0.1, 0.3
 
 
 def _unforeseen(case: Case, point: Point) -> NDArray[np.bool_]:
@@ -53,8 +60,27 @@ def _unforeseen(case: Case, point: Point) -> NDArray[np.bool_]:
     return hidden
 
 
+def rattling(case: Case) -> NDArray[np.bool_] | None:
+    """The stamps (N,) between turns of the command that follow each other so soon that motor and link come to no rest
+    against each other; None where there are none, or hardly anything else.
+
+    Each bounce depends on the one before, and so does what was wrong about it: after a few of them the likelihood of
+    any model, the true one included, is a matter of chance, with valleys that lie a percent apart and teach nothing.
+    """
+    time, command = case.drive.time, case.drive.command
+    if case.drive.closed:
+        return None
+    pushed = np.flatnonzero(np.abs(command) > _IDLE * np.abs(command).max())
+    sign = np.sign(command[pushed])
+    turns = pushed[1:][sign[1:] != sign[:-1]]
+    hidden = np.zeros(len(time), dtype=bool)
+    for i, j in itertools.pairwise(turns.tolist()):
+        hidden[i:j] = time[j] - time[i] < _RESTLESS
+    return hidden if 0.0 < hidden.mean() <= 1.0 - _ENOUGH else None
+
+
 def judged_throughout(cases: Sequence[Case]) -> list[Case]:
-    """The cases with every reading judged."""
+    """The cases with every reading judged where the motor does not rattle."""
     return [replace(c, unforeseen=None) for c in cases]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from twin import likelihood
+from twin import likelihood, meetings
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.likelihood import Case
@@ -54,7 +54,8 @@ def prepare(recordings: Sequence[Recording], structure: Structure, closed: bool 
     """
     cases = [likelihood.prepare(r, structure, closed) for r in recordings]
     least = min((c.reading_variance for c in cases), default=0.0)
-    return [replace(c, reading_variance=least) for c in cases]
+    loose = "backlash" in structure
+    return [replace(c, reading_variance=least, rattling=meetings.rattling(c) if loose else None) for c in cases]
 
 
 def with_steps(cases: Sequence[Case], structure: Structure) -> list[Case]:
@@ -65,6 +66,7 @@ def with_steps(cases: Sequence[Case], structure: Structure) -> list[Case]:
 
 def part(case: Case, structure: Structure, begin: float, end: float) -> Case:
     """What was recorded between two moments (s), read by the same sensor."""
-    return replace(
-        likelihood.prepare(case.recording.part(begin, end), structure), reading_variance=case.reading_variance
-    )
+    cut = likelihood.prepare(case.recording.part(begin, end), structure)
+    time = case.recording.time
+    rattling = None if case.rattling is None else case.rattling[(time >= begin) & (time <= end)]
+    return replace(cut, reading_variance=case.reading_variance, rattling=rattling)
