@@ -106,6 +106,24 @@ def test_slow_errors_are_seen_where_little_is_judged_too() -> None:
     assert units[0] > 2.0 and units[1] > 0.3 * units[0]
 
 
+@pytest.mark.parametrize("away", [0.4, 3.0])
+def test_what_rounding_takes_from_a_resting_axis_is_no_error(away: float) -> None:
+    """A stiff spring holds the model so many counts away from a reading that says the same again and again."""
+    structure = Structure.of(["inertia", "viscous_friction", "spring"])
+    values = {"input_gain": 0.3, "viscous_friction": 2.0, "spring_stiffness": 1e4, "spring_rest": away * COUNT}
+    time = 0.002 * np.arange(1000)
+    rests = Recording("rests", time, np.zeros(1000), np.zeros(1000), "%", "rad", COUNT)
+    moves = replace(rests, output=COUNT * np.round(0.01 * time / COUNT))
+    late = time > 1.0  # once it swings no more
+    case = likelihood.prepare(rests, structure)
+    run = likelihood.innovations(case, structure, values, likelihood.density_of(case, 0.1), tuple(values))
+    assert np.array_equal(case.resting, time > 0.25 + 1e-9)
+    assert not likelihood.prepare(moves, structure).resting.any()
+    beyond = max(away - 0.5, 0.0) * COUNT
+    assert np.allclose(run.error[late], -beyond, atol=0.05 * COUNT)
+    assert np.any(run.slopes[late] != 0.0) == (beyond > 0.0)
+
+
 def test_values_so_wild_that_the_model_overflows_are_refused_without_a_word() -> None:
     case = made(duration=5.0)
     wild = [VALUES | {"input_gain": gain} for gain in (1e160, 1e300)]

@@ -53,6 +53,8 @@ _BEHIND = 1e-7  # s
 PATIENCE = 4
 #: Longer than innovations of a slightly wrong model stay correlated, s.
 _STRETCH = 0.5
+#: After so long without another count an axis rests, s.
+_STILL = 0.25
 _BOUNDS = {p.name: (p.lower, p.upper) for p in EVERYTHING.parameters}
 
 
@@ -65,6 +67,7 @@ class Case:
     reading_variance: float  # of one reading, output unit squared
     contact: float  # where in the gap the motor starts: -1, 0 or 1
     start: tuple[float, float]  # position and velocity
+    resting: NDArray[np.bool_]  # (N,) where for a while nothing has been read but the same count
     free: NDArray[np.bool_] | None = None  # (N,) where the model runs freely and only that is judged; None: nowhere
     unforeseen: NDArray[np.bool_] | None = None  # (N,) readings that are followed but not judged; None: none
     rattling: NDArray[np.bool_] | None = None  # (N,) the same, where motor and link come to no rest; None: nowhere
@@ -79,6 +82,13 @@ def _reading_variance(recording: Recording) -> float:
     if counted > 0.0:
         return max(counted, scatter)
     return max(scatter, (1e-9 * float(np.ptp(y))) ** 2, 1e-30)
+
+
+def _resting(drive: Drive, count: float) -> NDArray[np.bool_]:
+    """The stamps (N,) at which nothing has been read for a while but the same count."""
+    same = np.abs(np.diff(drive.measured, prepend=np.nan)) < 0.5 * count
+    last = np.maximum.accumulate(np.where(same, 0, np.arange(len(same))))
+    return same & (drive.time - drive.time[last] > _STILL)
 
 
 def prepare(recording: Recording, structure: Structure, closed: bool = False, contact: float = 0.0) -> Case:
@@ -100,7 +110,8 @@ def prepare(recording: Recording, structure: Structure, closed: bool = False, co
     )
     first = float(recording.output[np.isfinite(recording.output)][0])
     start = (0.0, first) if recording.is_speed else (first, 0.0)
-    return Case(recording, drive, _reading_variance(recording), contact, start)
+    resting = _resting(drive, recording.resolution)
+    return Case(recording, drive, _reading_variance(recording), contact, start, resting)
 
 
 @contextmanager
@@ -278,7 +289,12 @@ def pieces(
         for followed in (case.unforeseen, case.rattling):
             if followed is not None:
                 error[followed[at]] = np.nan
-        yield Innovations(error, variance, run.slopes)
+        # Anywhere within its count a resting axis reads the same: rounding it is one error, not one at each stamp.
+        rounding = np.where(case.resting[at], 0.5 * case.recording.resolution, 0.0)
+        hidden = np.clip(error, -rounding, rounding)
+        if free:
+            run.slopes[error == hidden] = 0.0
+        yield Innovations(error - hidden, variance, run.slopes)
 
 
 def states(case: Case, structure: Structure, values: Mapping[str, float], density: float) -> kernel.Prediction:
