@@ -53,8 +53,8 @@ _BEHIND = 1e-7  # s
 PATIENCE = 4
 #: Longer than innovations of a slightly wrong model stay correlated, s.
 _STRETCH = 0.5
-#: After so long without another count an axis rests, s.
-_STILL = 0.25
+#: An axis rests that stays in one count for longer than this, s.
+_STILL = 0.5
 _BOUNDS = {p.name: (p.lower, p.upper) for p in EVERYTHING.parameters}
 
 
@@ -67,7 +67,7 @@ class Case:
     reading_variance: float  # of one reading, output unit squared
     contact: float  # where in the gap the motor starts: -1, 0 or 1
     start: tuple[float, float]  # position and velocity
-    resting: NDArray[np.bool_]  # (N,) where for a while nothing has been read but the same count
+    resting: NDArray[np.bool_]  # (N,) where for long nothing but the same count is read
     free: NDArray[np.bool_] | None = None  # (N,) where the model runs freely and only that is judged; None: nowhere
     unforeseen: NDArray[np.bool_] | None = None  # (N,) readings that are followed but not judged; None: none
     rattling: NDArray[np.bool_] | None = None  # (N,) the same, where motor and link come to no rest; None: nowhere
@@ -85,10 +85,14 @@ def _reading_variance(recording: Recording) -> float:
 
 
 def _resting(drive: Drive, count: float) -> NDArray[np.bool_]:
-    """The stamps (N,) at which nothing has been read for a while but the same count."""
-    same = np.abs(np.diff(drive.measured, prepend=np.nan)) < 0.5 * count
-    last = np.maximum.accumulate(np.where(same, 0, np.arange(len(same))))
-    return same & (drive.time - drive.time[last] > _STILL)
+    """The stamps (N,) at which nothing but one count is read for long, from the first time that it is read.
+
+    Were the first readings of a count left out, what remains of a slow motion would always be ahead of the count.
+    """
+    changed = ~(np.abs(np.diff(drive.measured, prepend=np.nan)) < 0.5 * count)
+    first = np.flatnonzero(changed)
+    lasts = np.diff(drive.time[first], append=drive.time[-1])
+    return np.asarray((lasts > _STILL)[np.cumsum(changed) - 1])
 
 
 def prepare(recording: Recording, structure: Structure, closed: bool = False, contact: float = 0.0) -> Case:
