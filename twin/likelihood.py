@@ -44,7 +44,7 @@ ERRS = 5.0
 CHAOS = 0.3
 #: Deviance from which on a change is one that is seen: what is not seen has no slope but the rounding's.
 TRACE = 1e-6
-#: Stretches beyond one for each parameter, at least: from fewer nobody could tell how much the slopes scatter.
+#: Stretches beyond one for each parameter from which on their scatter is looked at.
 LEFT = 4
 #: Far from the maximum that worth says nothing: a climb ends at so many times its tolerance at most.
 MOST_UNITS = 10.0
@@ -67,10 +67,21 @@ class Case:
     reading_variance: float  # of one reading, output unit squared
     contact: float  # where in the gap the motor starts: -1, 0 or 1
     start: tuple[float, float]  # position and velocity
-    resting: NDArray[np.bool_]  # (N,) where for long nothing but the same count is read
     free: NDArray[np.bool_] | None = None  # (N,) where the model runs freely and only that is judged; None: nowhere
     unforeseen: NDArray[np.bool_] | None = None  # (N,) readings that are followed but not judged; None: none
     rattling: NDArray[np.bool_] | None = None  # (N,) the same, where motor and link come to no rest; None: nowhere
+
+    @cached_property
+    def resting(self) -> NDArray[np.bool_]:
+        """The stamps (N,) at which nothing but one count is read for long, from the first time that it is read.
+
+        Were the first readings of a count left out, what remains of a slow motion would always be ahead of the count.
+        """
+        time, measured = self.drive.time, self.drive.measured
+        changed = ~(np.abs(np.diff(measured, prepend=np.nan)) < 0.5 * self.recording.resolution)
+        first = np.flatnonzero(changed)
+        lasts = np.diff(time[first], append=time[-1])
+        return np.asarray((lasts > _STILL)[np.cumsum(changed) - 1])
 
 
 def _reading_variance(recording: Recording) -> float:
@@ -82,17 +93,6 @@ def _reading_variance(recording: Recording) -> float:
     if counted > 0.0:
         return max(counted, scatter)
     return max(scatter, (1e-9 * float(np.ptp(y))) ** 2, 1e-30)
-
-
-def _resting(drive: Drive, count: float) -> NDArray[np.bool_]:
-    """The stamps (N,) at which nothing but one count is read for long, from the first time that it is read.
-
-    Were the first readings of a count left out, what remains of a slow motion would always be ahead of the count.
-    """
-    changed = ~(np.abs(np.diff(drive.measured, prepend=np.nan)) < 0.5 * count)
-    first = np.flatnonzero(changed)
-    lasts = np.diff(drive.time[first], append=drive.time[-1])
-    return np.asarray((lasts > _STILL)[np.cumsum(changed) - 1])
 
 
 def prepare(recording: Recording, structure: Structure, closed: bool = False, contact: float = 0.0) -> Case:
@@ -114,8 +114,7 @@ def prepare(recording: Recording, structure: Structure, closed: bool = False, co
     )
     first = float(recording.output[np.isfinite(recording.output)][0])
     start = (0.0, first) if recording.is_speed else (first, 0.0)
-    resting = _resting(drive, recording.resolution)
-    return Case(recording, drive, _reading_variance(recording), contact, start, resting)
+    return Case(recording, drive, _reading_variance(recording), contact, start)
 
 
 @contextmanager
@@ -297,7 +296,7 @@ def pieces(
         rounding = np.where(case.resting[at], 0.5 * case.recording.resolution, 0.0)
         hidden = np.clip(error, -rounding, rounding)
         if free:
-            run.slopes[error == hidden] = 0.0
+            run.slopes[np.abs(error) < rounding] = 0.0
         yield Innovations(error - hidden, variance, run.slopes)
 
 
@@ -346,7 +345,7 @@ def evaluate(
     stretch: float = _STRETCH,
 ) -> Point:
     """Deviance, gradient and information at these values; errors further apart than `stretch` (s), or less where
-    little is judged, are independent.
+    much is not judged, are independent.
     """
     n = len(free)
     lost = Point(structure, dict(values), density, free, math.inf, math.inf, np.eye(n), np.zeros(n), np.eye(n))
@@ -371,14 +370,17 @@ def evaluate(
     scale = _scale_of(joined)
     loss = sum(float(_loss(joined[i : i + AT_ONCE] / scale).sum()) for i in range(0, count, AT_ONCE))
     deviance = loss + logs + count * math.log(scale)
-    stretch = min(stretch, judged / (n + LEFT))
+    # What is not judged must not leave too few stretches of a recording that is long enough.
+    needed = n + LEFT + 1
+    if judged < needed * stretch < sum(float(c.drive.time[-1]) for c in cases):
+        stretch = judged / needed
     pulls, weights = _by_stretch(cases, structure, values, density, free, scale, None if long else results, stretch)
     normal, gradient, scatter = weights.sum(axis=0), pulls.sum(axis=0), pulls.T @ pulls
     if not np.all(np.isfinite(normal)) or not np.all(np.isfinite(gradient)):
         return lost
     # The maximum has used up a stretch for each parameter (MacKinnon and White, J. Econometrics 29, 1985).
     stretches = len(pulls)
-    scatter = scatter * (stretches / max(stretches - n, 1))
+    scatter = scatter * (stretches / (stretches - n)) if stretches > n + LEFT else normal
     return Point(structure, dict(values), density, free, deviance, scale, normal, gradient, scatter)
 
 
