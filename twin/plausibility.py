@@ -25,6 +25,8 @@ OFF_CENTRE = 0.1
 RUBS = 0.25
 #: Share of a recording at its beginning and its end that is too little to know a load by.
 BESIDE = 0.05
+#: What moves by less than a count in this time, s, might as well rest.
+CREEPS = 0.1
 #: A stop gives way by no larger share of the travel.
 GIVES = 0.2
 #: So much of the travel away from a stop the link does not touch it.
@@ -66,9 +68,10 @@ def _joint(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
 
 
 def _stribeck(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
-    """Friction that falls with speed falls within some speed."""
+    """Friction that falls with speed falls within some speed, and one that readings can tell from rest."""
     least, _ = likelihood.bounds_of("stribeck_velocity")
-    return values["stribeck_velocity"] > 2.0 * least
+    told = min(c.recording.resolution / (1.0 if c.drive.speed else CREEPS) for c in cases)
+    return values["stribeck_velocity"] > max(2.0 * least, told)
 
 
 def _lag(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
