@@ -113,7 +113,7 @@ def test_what_rounding_takes_from_a_resting_axis_is_no_error(away: float) -> Non
     values = {"input_gain": 0.3, "viscous_friction": 2.0, "spring_stiffness": 1e4, "spring_rest": away * COUNT}
     time = 0.002 * np.arange(1000)
     rests = Recording("rests", time, np.zeros(1000), np.zeros(1000), "%", "rad", COUNT)
-    moves = replace(rests, output=COUNT * np.round(COUNT * time / 0.4 / COUNT))
+    moves = replace(rests, output=COUNT * np.round(time / 0.4))
     late = time > 1.0  # once it swings no more
     case = likelihood.prepare(rests, structure)
     run = likelihood.innovations(case, structure, values, likelihood.density_of(case, 0.1), tuple(values))

@@ -351,11 +351,11 @@ def _remarks(found: Search, fit: Mapping[str, Mapping[str, Fitness]], findings: 
             f"({held_out['after'].nrmse_percent:.2f} % against {held_out['before'].nrmse_percent:.2f} %): "
             "treat the finding with care."
         )
-    rattling = [(c.recording.name, float(c.rattling.mean())) for c in found.cases if c.rattling is not None]
     said += [
-        f"{name}: in {100.0 * share:.0f} % of what was fitted the input turns so often that motor and link come to no "
-        "rest against each other: that is followed, but nothing is concluded from it."
-        for name, share in rattling
+        f"{c.recording.name}: in {100.0 * c.rattling.mean():.0f} % of what was fitted the input turns so often that "
+        "motor and link come to no rest against each other: that is followed, but nothing is concluded from it."
+        for c in found.cases
+        if c.rattling is not None
     ]
     if identify.roughness(found.cases, found.last) > compare.LEAST * compare.worth([found.last]):
         said.append(
