@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -83,9 +84,11 @@ def test_the_filter_is_the_one_of_the_textbook(speed: bool) -> None:
     assert np.allclose(run.pull, pull, rtol=1e-6, atol=1e-9 * np.abs(pull).max())
 
 
-def test_slopes_of_the_filtered_reading_are_differences() -> None:
+@pytest.mark.parametrize("silence", [math.inf, 0.05])
+def test_slopes_of_the_filtered_reading_are_differences(silence: float) -> None:
     case = made()
     x, noise = kernel.start_state(*case.start, 0.0), likelihood.noise_for(case, likelihood.density_of(case, 0.05))
+    noise = replace(noise, silence=silence)
     names = ("input_gain", "dead_band_forward")
     run = kernel.predict_with_slopes(case.drive, kernel.vector(STRUCTURE, VALUES), x, np.zeros((7, 2)), names, noise)
     for j, name in enumerate(names):
@@ -95,9 +98,38 @@ def test_slopes_of_the_filtered_reading_are_differences() -> None:
             for s in (1.0, -1.0)
         )
         numeric = (up.reading - down.reading) / (2.0 * h)
-        wrong = np.abs(numeric - run.slopes[:, j]) > 1e-3 * np.abs(run.slopes[:, j]).max()
+        seen = np.isfinite(run.reading)
+        assert seen.all() == (silence == math.inf)
+        wrong = np.abs(numeric - run.slopes[:, j])[seen] > 1e-3 * np.abs(run.slopes[:, j]).max()
         # Where a small change moves a landing from one stamp to the next the gains jump.
         assert np.mean(wrong) < 0.02
+
+
+@pytest.mark.parametrize("speed", [False, True])
+def test_after_a_silence_the_filter_begins_anew_where_it_reads_the_axis(speed: bool) -> None:
+    """As if the recording began there, but for the motion that the model has gone on with."""
+    case, silence, back = made(speed), 0.5, 1000
+    measured = case.drive.measured.copy()
+    measured[back - 400 : back] = np.nan
+    measured[back:] += 0.7
+    noise = replace(likelihood.noise_for(case, likelihood.density_of(case, 0.05)), silence=silence)
+    p, x = kernel.vector(STRUCTURE, VALUES), kernel.start_state(*case.start, 0.0)
+    run = kernel.predict(replace(case.drive, measured=measured), p, x, noise, True)
+    assert np.flatnonzero(np.isnan(run.reading)).tolist() == [back]
+    state = run.states[back].copy()
+    if speed:
+        state[[1, 3]] += measured[back] - state[1]
+    else:
+        state[0] = measured[back]
+    late = {n: getattr(case.drive, n)[back:] for n in ("time", "command")}
+    anew = kernel.predict(replace(case.drive, measured=measured[back:], **late), p, state, noise)
+    assert np.allclose(run.reading[back + 1 :], anew.reading[1:], rtol=1e-12)
+    assert np.allclose(run.spread[back:], anew.spread, rtol=1e-12)
+    patient = kernel.predict(replace(case.drive, measured=measured), p, x, replace(noise, silence=1.0))
+    assert np.isfinite(patient.reading).all()
+    error = [np.abs(measured - r.reading)[back + 1 : back + 50].max() for r in (run, patient)]
+    # A speed is one reading from being known, in either way.
+    assert error[0] < (1.1 if speed else 0.1) * error[1]
 
 
 def test_noise_is_found_as_strong_as_it_is_in_a_loose_gap() -> None:

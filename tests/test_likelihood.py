@@ -123,6 +123,25 @@ def test_what_rounding_takes_from_a_resting_axis_is_no_error(away: float) -> Non
     assert np.any(run.slopes[late] != 0.0) == (beyond > 0.0)
 
 
+def test_what_happened_in_a_silence_bends_no_estimate() -> None:
+    """Ten seconds are not read, in which the axis was driven otherwise than was recorded."""
+    whole = made()
+    time, duty = whole.drive.time, whole.drive.command
+    silent = (time > 10.0) & (time < 20.0)
+    otherwise = np.where(silent, 1.05 * duty, duty)
+    x = kernel.start_state(0.0, 0.0, 0.0)
+    moved = kernel.predict(replace(whole.drive, command=otherwise), kernel.vector(STRUCTURE, VALUES), x).reading
+    read = np.where(silent, np.nan, moved + COUNT * np.random.default_rng(2).uniform(-0.5, 0.5, len(time)))
+    recording = replace(whole.recording, output=read)
+    case = likelihood.prepare(recording, STRUCTURE)
+    start = {**VALUES, "input_gain": 0.31, "viscous_friction": 2.1}
+    point = likelihood.climb([case], STRUCTURE, start, likelihood.density_of(case, 0.2), FREE)
+    away = [point.values[n] - VALUES[n] for n in FREE] / np.sqrt(np.diag(likelihood.robust_covariance([case], point)))
+    assert np.all(np.abs(away) < 4.0) and point.unit < 2.0
+    apart = kernel.predict(case.drive, kernel.vector(STRUCTURE, VALUES), x).reading - moved
+    assert np.abs(apart[time > 20.0]).min() > 100.0 * COUNT
+
+
 def test_values_so_wild_that_the_model_overflows_are_refused_without_a_word() -> None:
     case = made(duration=5.0)
     wild = [VALUES | {"input_gain": gain} for gain in (1e160, 1e300)]

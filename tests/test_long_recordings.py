@@ -45,7 +45,8 @@ def test_slopes_in_pieces_are_those_of_the_whole(most: int, closed: bool) -> Non
     whole = kernel.predict_with_slopes(*given)
     parts = list(kernel.in_pieces(*given, most))
     assert [at.start for at, _ in parts] == list(range(0, 6000, most))
-    assert np.array_equal(np.concatenate([one.reading for _, one in parts]), whole.reading)
+    assert np.array_equal(np.concatenate([one.reading for _, one in parts]), whole.reading, equal_nan=True)
+    assert np.flatnonzero(np.isnan(whole.reading)).tolist() == [1800]
     assert np.array_equal(np.concatenate([one.spread for _, one in parts]), whole.spread)
     assert np.array_equal(np.concatenate([one.slopes for _, one in parts]), whole.slopes)
     assert np.ptp(whole.slopes) > 0.0 and np.ptp(whole.spread) > 0.0

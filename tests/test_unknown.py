@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin import compare, extend, likelihood, locate, ready, unknown
+from twin import compare, extend, hold_out, identify, likelihood, locate, ready, unknown
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, UNKNOWN
 from twin.effects.knots import KNOTS, line, names
@@ -119,22 +119,50 @@ def test_of_several_recordings_the_one_that_lacks_most_decides():
         assert extend._telling(found)[0] is telling
 
 
-@pytest.mark.parametrize(("missing", "says"), [(("drive_saturation",), True), ((), False)])
-def test_what_only_the_held_out_part_shows_is_said(missing, says):
-    """A drive that saturates above what the fitted part asks of it."""
+def late(*missing: str) -> Recording:
+    """A recording in whose last third alone the axis comes to a stop, or the drive is asked for so much that it would
+    saturate.
+    """
     rng = np.random.default_rng(9)
     time = 0.002 * np.arange(SAMPLES)
-    moment = extend.TRAINING * time[-1]
-    command = np.where(time < moment, 0.5, 1.0) * steps(rng, SAMPLES, 300, 40.0)
-    truth = STRUCTURE.with_(*missing)
+    before = time < 0.7 * time[-1]
+    command = np.where(before, 0.5, 1.0) * steps(rng, SAMPLES, 300, 40.0)
     shaken = command + 0.3 * rng.standard_normal(SAMPLES)
-    y, _ = run(truth, VALUES | ({"saturation_limit": 24.0} if missing else {}), time, shaken)
-    whole = Recording("made", time, command, np.round(y / COUNT) * COUNT, "%", "rad", COUNT)
-    case = likelihood.prepare(whole.part(0.0, moment), STRUCTURE)
-    point = likelihood.fit([case], STRUCTURE, VALUES, FREE)
-    said = extend._unseen(Search(point, point, (), (case,)), [(whole, moment)])
-    assert len(said) == says
-    assert not says or ("from 21 s on" in said[0] and "input" in said[0])
+    y, _ = run(STRUCTURE, VALUES, time, shaken)
+    stop = 0.5 * (y[before].min() + y.min())
+    assert stop < y[before].min() - 1.0 and np.ptp(y) < 100.0
+    more = {"saturation_limit": 24.0, "stop_upper": 100.0, "stop_lower": stop, "stop_stiffness": 2e4}
+    truth = STRUCTURE.with_(*missing)
+    y, _ = run(truth, {**VALUES, **{p.name: more[p.name] for p in truth.parameters if p.name in more}}, time, shaken)
+    return Recording("made", time, command, np.round(y / COUNT) * COUNT, "%", "rad", COUNT)
+
+
+@pytest.mark.parametrize("missing", [("drive_saturation",), ("end_stop",), ()])
+def test_where_the_end_shows_what_nothing_before_can_teach_the_middle_is_held_out(missing):
+    whole = late(*missing)
+    (train,), (held_out,), found, said = extend._searched(
+        [whole], STRUCTURE, {}, ["drive_saturation", "end_stop"], None
+    )
+    assert set(found.last.structure.ids) == {*STRUCTURE.ids, *missing}
+    assert (held_out.begin, held_out.end) == pytest.approx((10.5, 19.5) if missing else (21.0, 30.0), abs=0.01)
+    assert np.array_equal(np.isfinite(train.output), ~held_out.inside[: len(train.time)])
+    assert len(train.time) + np.count_nonzero(held_out.inside[len(train.time) :]) == SAMPLES
+    assert len(said) == len(missing)
+    assert all("from 21 s on" in s and "the middle was held out" in s for s in said)
+    assert not said or ("input" in said[0]) == ("drive_saturation" in missing)
+
+
+@pytest.mark.parametrize("where", [hold_out.END, hold_out.MIDDLE])
+def test_held_out_part_of_a_true_model_is_met_by_its_free_run(where):
+    """Whether it lies at the end or in the middle: the FMU starts there anew, from what was read ahead of it."""
+    case, point = fitted("nothing")
+    truth = identify.to_model([case], replace(point, values=VALUES), [case.recording], {})
+    train, held_out = hold_out.split([case.recording], where)
+    shown = hold_out.traces(truth, truth, [("train", hold_out.Part(train[0])), ("holdout", held_out[0])])
+    assert [t.role for t in shown] == ["train", "holdout"]
+    assert np.array_equal(shown[1].time, case.recording.time[held_out[0].inside])
+    moved = np.ptp(case.recording.output)
+    assert np.nanmax(np.abs(shown[1].after - shown[1].recorded)) < 0.02 * moved
 
 
 def test_p_value_is_uniform_on_noise():

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -18,83 +16,27 @@ from twin import (
     compare,
     experiment,
     explain,
+    hold_out,
     identify,
     likelihood,
     locate,
-    package,
     ready,
     search,
     unknown,
 )
 from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN
-from twin.equations import timed
 from twin.errors import BadInput
 from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
+from twin.hold_out import Part
 from twin.likelihood import Case, Point
 from twin.model import Model
-from twin.recording import Recording, driven
+from twin.recording import Recording
 from twin.search import UNSURE, Progress, Search
 from twin.writers import latex
 
-#: Of a lone recording, the part that fits and choices may see.
-TRAINING = 0.7
-#: Where the last model lacks so many times as much as in what was fitted, held-out data show what training did not.
-BEYOND = 3.0
 #: So many shapes without a name are drawn to the end, and none where names leave a smaller share of the missing torque.
 SKETCHES, FAINT = 2, 0.1
-#: Three time constants, but no less and no more than this, a free run starts ahead of what is judged, s.
-_LEAD = (1.0, 5.0)
-
-
-def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[tuple[Recording, float]]]:
-    """What may be fitted, and (recording, moment from which on it is held out)."""
-    train = [r for r in recordings if r.role == "train"]
-    held_out = [(r, 0.0) for r in recordings if r.role != "train"]
-    if held_out:
-        return train, held_out
-    cut = [(r, TRAINING * float(r.time[-1])) for r in train]
-    return [r.part(0.0, t) for r, t in cut], cut
-
-
-def _free_run(fmu: Path, recording: Recording, since: float, lead: float, closed: bool) -> np.ndarray:
-    """What the FMU says the sensor reads from `since` on, started there from the recorded state.
-
-    It starts `lead` seconds ahead, in what was fitted, so that lag, gap and delay line are filled and an error of the
-    first speed has died down when it counts. The run is then moved to the recorded position at `since`, because only
-    what happens afterwards is judged.
-    """
-    begin = max(since - lead, 0.0)
-    part = recording.part(begin, float(recording.time[-1]))
-    seen = _seen(package.replay(fmu, part, closed=closed), recording)[-int(np.sum(recording.time >= since)) :]
-    if since > 0.0 and not recording.is_speed:
-        recorded = recording.output[recording.time >= since]
-        first = np.flatnonzero(np.isfinite(recorded))[0]
-        seen = seen + recorded[first] - seen[first]
-    return seen
-
-
-def _seen(ran: package.Replay, recording: Recording) -> np.ndarray:
-    return np.asarray(ran.velocity if recording.is_speed else ran.position_measured)
-
-
-def traces(
-    before: Model, after: Model, recordings: Sequence[tuple[str, Recording, float]], closed: bool = False
-) -> list[Trace]:
-    """Both models beside each recording (its role, and from which moment on it is judged), free-running through their
-    FMUs, from the recorded input or, `closed`, under the rig's own loop.
-    """
-    clocked = any(timed(m.structure) for m in (before, after))
-    # Physics that depends on the time since the start must run from the start.
-    lead = math.inf if clocked else float(np.clip(3.0 / max(after.values["viscous_friction"], 1e-9), *_LEAD))
-    out = []
-    with tempfile.TemporaryDirectory() as folder:
-        fmus = [package.export(m, Path(folder) / f"{i}.fmu") for i, m in enumerate((before, after))]
-        for role, recording, since in recordings:
-            runs = [_free_run(fmu, driven(recording), since, lead, closed) for fmu in fmus]
-            keep = recording.time >= since
-            out.append(Trace(recording.name, role, recording.time[keep], recording.output[keep], runs[0], runs[1]))
-    return out
 
 
 def _fitness(chosen: Sequence[Trace], which: str, white: float) -> Fitness:
@@ -248,6 +190,28 @@ def _telling(found: Search) -> tuple[Case, unknown.Leftover]:
     return max(judged, key=lambda j: (j[1].size if unknown.is_left(j[1]) else 0.0, float(j[0].drive.time[-1])))
 
 
+def _searched(
+    recordings: Sequence[Recording], first: Structure, held: Mapping[str, float], candidates: Sequence[str],
+    progress: Progress | None,
+) -> tuple[list[Recording], list[Part], Search, list[str]]:  # fmt: skip
+    """What was fitted, what is held out, what was found, and sentences on what held-out data alone show.
+
+    Where the end of a lone recording shows what nothing before it can teach, the middle is held out instead.
+    """
+
+    def looked(where: tuple[float, float]) -> tuple[list[Recording], list[Part], Search, list[str]]:
+        train, held_out = hold_out.split(recordings, where)
+        found = search.find(train, first, held, candidates, progress)
+        return train, held_out, found, hold_out.unseen(found.cases, found.last, held_out)
+
+    train, held_out, found, shown = looked(hold_out.END)
+    said = []
+    if shown and not held_out[0].whole:
+        said = [f"{s} So the middle was held out instead, and the search begun anew." for s in shown]
+        train, held_out, found, shown = looked(hold_out.MIDDLE)
+    return train, held_out, found, said + [f"{s} Fit a recording in which it acts." for s in shown]
+
+
 def diagnose(
     recordings: Sequence[Recording],
     first: Structure,
@@ -271,8 +235,7 @@ def diagnose(
         seconds[stage] = seconds.get(stage, 0.0) + now - clock
         clock = now
 
-    train, held_out = split(recordings)
-    found = search.find(train, first, held, candidates, progress)
+    train, held_out, found, said = _searched(recordings, first, held, candidates, progress)
     lap("search")
     case, lacking = _telling(found)
     left = [lacking, unknown.leftover(case, found.last.structure, found.last.values)]
@@ -299,8 +262,8 @@ def diagnose(
     shapes = [tuple(locate.shapes(m)) for m in missing]
     lap("locate")
     tell("checking on held-out data through the FMU", 0.9)
-    runs = [*(("train", r, 0.0) for r in train), *(("holdout", r, since) for r, since in held_out)]
-    shown = traces(before, after, runs, closed)
+    runs = [*(("train", Part(r)) for r in train), *(("holdout", p) for p in held_out)]
+    shown = hold_out.traces(before, after, runs, closed)
     white = [_white(ready.with_steps(found.cases, p.structure), p) for p in (first_point, last_point)]
     fit = {
         role: {
@@ -336,7 +299,7 @@ def diagnose(
         faults=tuple(f for r in recordings for f in r.faults),
         experiment=designed,
         undecided=_undecided(found),
-        remarks=(*_remarks(found, fit, findings), *_unseen(found, held_out)),
+        remarks=(*_remarks(found, fit, findings), *said),
         seconds=seconds,
     )
 
@@ -364,24 +327,3 @@ def _remarks(found: Search, fit: Mapping[str, Mapping[str, Fitness]], findings: 
             "reversals, larger ones, or a load that keeps the teeth together."
         )
     return said
-
-
-def _unseen(found: Search, held_out: Sequence[tuple[Recording, float]]) -> list[str]:
-    """What the last model lacks in held-out data alone: of physics that did not act before, nobody could tell."""
-    last = found.last
-    lacking = []
-    for recording, since in held_out:
-        (case,) = ready.prepare([driven(recording)], last.structure)
-        left = unknown.leftover(case, last.structure, last.values, since)
-        if unknown.is_left(left):
-            lacking.append((recording, since, left))
-    if not lacking:
-        return []
-    known = max(unknown.leftover(c, last.structure, last.values).size for c in found.cases)
-    return [
-        f"{recording.name}: held-out data{f' from {since:.3g} s on' if since > 0.0 else ''} show something that what "
-        f"was fitted does not: a torque of {left.size:.2g} {recording.output_unit.removesuffix('/s')}/s^2 that goes "
-        f"with {' and '.join(left.variables)}. Fit a recording in which it acts."
-        for recording, since, left in lacking
-        if left.size > BEYOND * known
-    ]

@@ -175,6 +175,15 @@ def _stretches(diagnosis: Diagnosis) -> list[list[Trace]]:
     return [[t] for t in chosen]
 
 
+def _covered(trace: Trace, traces: Sequence[Trace]) -> NDArray[np.bool_]:
+    """The stamps (N,) of a trace that lie in a held-out one beside it."""
+    covered = np.zeros(len(trace.time), dtype=bool)
+    for t in traces:
+        if t is not trace and t.role == "holdout":
+            covered |= (trace.time >= t.time[0]) & (trace.time <= t.time[-1])
+    return covered
+
+
 def models(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     """What to draw: before or after, its colour, its name; one model where nothing was added."""
     if diagnosis.before.structure.ids == diagnosis.after.structure.ids:
@@ -199,9 +208,12 @@ def overlay(diagnosis: Diagnosis) -> str:
                     place = {"transform": bottom.get_xaxis_transform(), "va": "top"}
                     bottom.text(t.time[0], 0.97, "  held out", fontsize=8, color=MUTED, **place)
                 _line(top, t.time, t.recorded, RECORDED, linewidth=3.2, label="recorded")
+                # What a simulation does where another begins anew belongs to no comparison.
+                elsewhere = _covered(t, traces)
                 for which, color, name in drawn:
-                    _line(top, t.time, getattr(t, which), color, label=name)
-                    _line(bottom, t.time, getattr(t, which) - t.recorded, color)
+                    simulated = np.where(elsewhere, np.nan, getattr(t, which))
+                    _line(top, t.time, simulated, color, label=name)
+                    _line(bottom, t.time, simulated - t.recorded, color)
             _within(bottom, *(getattr(t, which) - t.recorded for t in traces for which, _, _ in drawn), share=0.0)
             if not lone:
                 data = "held out" if traces[0].role == "holdout" else "fitted"

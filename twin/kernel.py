@@ -10,6 +10,7 @@ import ast
 import hashlib
 import importlib.util
 import inspect
+import math
 import os
 import re
 import sys
@@ -190,10 +191,11 @@ class Noise:
     density: float  # of the torque noise: 1/s^3 (positions) or 1/s (speeds)
     position: float = 1.0  # variance at the start
     velocity: float = 1.0
+    silence: float = math.inf  # s without a reading, after which it begins anew
 
     @property
     def vector(self) -> FloatArray:
-        return np.array([self.density, self.position, self.velocity])
+        return np.array([self.density, self.position, self.velocity, self.silence])
 
 
 #: No noise: a free run from the initial state.
@@ -204,7 +206,7 @@ FREE = Noise(0.0)
 class Prediction:
     """One recording through the model; what was not asked for has no rows."""
 
-    reading: FloatArray  # (N,) what the sensor should read
+    reading: FloatArray  # (N,) what the sensor should read, NaN where a filter begins anew
     spread: FloatArray  # (N,) variance to expect of an innovation, in units of the reading's
     pull: FloatArray  # (N,) velocity (1/s) of the mass centre that a unit of innovation adds
     states: FloatArray  # (N, 7)
@@ -250,7 +252,7 @@ def in_pieces(
             if name in INDEX:
                 seed[INDEX[name], j] = 1.0
         command = drive.command.copy() if drive.closed else drive.command
-        carried.append((x.copy(), start, seed, np.empty(10), command, _aligned(count if drive.closed else 1, WIDTH)))
+        carried.append((x.copy(), start, seed, np.empty(11), command, _aligned(count if drive.closed else 1, WIDTH)))
     serving = _serving(p)
     for begin in range(0, count, most):
         room = min(most, count - begin)

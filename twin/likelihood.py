@@ -55,6 +55,9 @@ PATIENCE = 4
 _STRETCH = 0.5
 #: An axis rests that stays in one count for longer than this, s.
 _STILL = 0.5
+#: After a silence of so many s, and so many times the usual one, the filter begins anew: how far a model went astray in
+#: it is no reading's error.
+_SILENCE, _SILENCES = 0.5, 10.0
 _BOUNDS = {p.name: (p.lower, p.upper) for p in EVERYTHING.parameters}
 
 
@@ -70,6 +73,7 @@ class Case:
     free: NDArray[np.bool_] | None = None  # (N,) where the model runs freely and only that is judged; None: nowhere
     unforeseen: NDArray[np.bool_] | None = None  # (N,) readings that are followed but not judged; None: none
     rattling: NDArray[np.bool_] | None = None  # (N,) the same, where motor and link come to no rest; None: nowhere
+    beginning: NDArray[np.bool_] | None = None  # (N,) the same, until motor and link have met; None: nowhere
 
     @cached_property
     def resting(self) -> NDArray[np.bool_]:
@@ -82,6 +86,12 @@ class Case:
         first = np.flatnonzero(changed)
         lasts = np.diff(time[first], append=time[-1])
         return np.asarray((lasts > _STILL)[np.cumsum(changed) - 1])
+
+    @cached_property
+    def silence(self) -> float:
+        """For how long nothing may be read, s."""
+        read = self.drive.time[np.isfinite(self.drive.measured)]
+        return max(_SILENCE, _SILENCES * float(np.median(np.diff(read)))) if len(read) > 1 else _SILENCE
 
 
 def _reading_variance(recording: Recording) -> float:
@@ -249,7 +259,7 @@ def noise_for(case: Case, density: float) -> Noise:
     spread = float(np.nanmax(y) - np.nanmin(y))
     duration = max(float(case.drive.time[-1]), 1e-9)
     velocity = (spread if case.drive.speed else max(spread / duration, 1e-3 * spread)) ** 2
-    return Noise(density, 1.0, 1.0 if case.drive.speed else velocity / case.reading_variance)
+    return Noise(density, 1.0, 1.0 if case.drive.speed else velocity / case.reading_variance, case.silence)
 
 
 def _loss(z2: FloatArray) -> FloatArray:
@@ -289,7 +299,7 @@ def pieces(
             # What drifts away in a free run is no reading's noise: the errors of all recordings are weighed alike.
             error[~case.free[at]] = np.nan
             variance = np.ones(len(error))
-        for followed in (case.unforeseen, case.rattling):
+        for followed in (case.unforeseen, case.rattling, case.beginning):
             if followed is not None:
                 error[followed[at]] = np.nan
         # Anywhere within its count a resting axis reads the same: rounding it is one error, not one at each stamp.

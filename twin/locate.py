@@ -36,12 +36,23 @@ class Missing:
     command: FloatArray
     step: float  # median sample time, s
 
-    def since(self, moment: float) -> Missing:
-        """From that moment (s) on."""
-        late = self.time >= moment
+    @property
+    def size(self) -> float:
+        """Root mean square of the torque; zero where nothing was read."""
+        read = self.torque[np.isfinite(self.torque)]
+        return float(np.sqrt(np.sum(np.square(read)) / max(len(read), 1)))
+
+    @property
+    def loudest(self) -> float:
+        """When it is largest, s."""
+        return float(self.time[np.nanargmax(np.abs(self.torque))])
+
+    def between(self, begin: float, end: float) -> Missing:
+        """From one moment (s) to another."""
+        here = (self.time >= begin) & (self.time <= end)
         return Missing(
-            self.time[late], self.torque[late], self.position[late], self.velocity[late], self.acceleration[late],
-            self.command[late], self.step,
+            self.time[here], self.torque[here], self.position[here], self.velocity[here], self.acceleration[here],
+            self.command[here], self.step,
         )  # fmt: skip
 
     def state(self, variable: str) -> FloatArray:
@@ -101,7 +112,8 @@ def missing_torque(case: Case, structure: Structure, values: Mapping[str, float]
     # A second-order filter at its optimum delays by the square root of two of its memory; a first-order one by it.
     late = round((1.0 if case.drive.speed else np.sqrt(2.0)) * memory / step)
     torque = _delayed(raw, late)
-    torque[: int(5.0 * memory / step)] = np.nan
+    for begun in (0, *np.flatnonzero(np.isnan(run.reading))):
+        torque[begun : begun + int(5.0 * memory / step)] = np.nan
     velocity = run.states[:, 1]
     return Missing(
         time=case.drive.time,

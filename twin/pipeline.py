@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fmpy.validation import validate_fmu
 
-from twin import control, controller, cosim, extend, finding, fitting, model, package, two_stage
+from twin import control, controller, cosim, extend, finding, fitting, hold_out, model, package, two_stage
 from twin.controller import Controller
 from twin.cosim import Tracking
 from twin.errors import BadInput
@@ -75,7 +75,7 @@ def run(
     structure = fitting.first_structure(rig, more, fewer)
     fitting.compile_kernel(tell)
     tell("steady states and transients", 0.03)
-    training, _ = extend.split(recordings)
+    training, _ = hold_out.split(recordings)
     simple = two_stage.two_stage(training)
     diagnosis = extend.diagnose(recordings, structure, progress=lambda s, x: tell(s, 0.05 + 0.75 * x))
     before, after = (fitting.with_largest_command(m, recordings) for m in (diagnosis.before, diagnosis.after))

@@ -122,6 +122,18 @@ class Recording:
             ),
         )
 
+    def without(self, start: float, end: float) -> "Recording":
+        """The recording without its readings from `start` to `end` (s, both included), up to the last that is left.
+
+        Raises BadInput when none is left.
+        """
+        left_out = (self.time >= start) & (self.time <= end)
+        kept = np.flatnonzero(~left_out & np.isfinite(self.output))
+        if len(kept) == 0:
+            raise BadInput(f"{self.name}: no readings but from {start:g} to {end:g} s")
+        shorter = replace(self, output=np.where(left_out, np.nan, self.output)).part(0.0, float(self.time[kept[-1]]))
+        return replace(shorter, name=f"{self.name} (without {start:.3g} to {end:.3g} s)")
+
 
 def known_quantities(recording: Recording) -> dict[str, float]:
     """Inertia and first moment of the payload about the axis, from what the user knows of it."""

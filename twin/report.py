@@ -234,7 +234,7 @@ def _comparison(story: Story) -> str:
         "Below: the error of that."
     )
     if len(d.recordings) == 1 and any(t.role == "holdout" for t in d.traces):
-        says += " The last part was held out: no fit and no choice has seen it, and the simulation starts there anew."
+        says += " A part was held out: no fit and no choice has seen it, and the simulation starts there anew."
     rows = []
     for role, name in (("train", "fitted"), ("holdout", "held out")):
         fits = [_fit(d, role, which) for which, _, _ in drawn]

@@ -33,8 +33,8 @@ def local_slope(values: FloatArray, width: int, order: int, rank: int, step: flo
     return np.concatenate([begin[:half], inside, end[half + 1 :]])
 
 
-def motion(case: Case, window: float = 0.1) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Command, speed and acceleration (each (N,)) on an even grid; only where readings are dense."""
+def motion(case: Case, window: float = 0.1) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Reading, command, speed and acceleration (each (N,)) on an even grid, where readings are dense."""
     time, y = case.drive.time, case.drive.measured
     ok = np.isfinite(y)
     step = float(np.median(np.diff(time)))
@@ -45,19 +45,19 @@ def motion(case: Case, window: float = 0.1) -> tuple[FloatArray, FloatArray, Flo
         width = max((len(grid) - 1) // 2 * 2 - 1, 3)
     order = min(3, width - 1)
     command = case.recording.input[np.clip(np.searchsorted(time, grid, "right") - 1, 0, len(time) - 1)]
-    if case.drive.speed:
-        speed = local_slope(values, width, order, 0, step)
-        acceleration = local_slope(values, width, order, 1, step)
-    else:
-        speed = local_slope(values, width, order, 1, step)
-        acceleration = local_slope(values, width, order, 2, step)
-    return command, speed, acceleration
+    rank = 0 if case.drive.speed else 1
+    speed, acceleration = (local_slope(values, width, order, rank + k, step) for k in range(2))
+    # A slope across a silence is nobody's speed.
+    after = np.clip(np.searchsorted(time[ok], grid), 1, int(ok.sum()) - 1)
+    apart = time[ok][after] - time[ok][after - 1]
+    dense = apart <= max(window, 3.0 * float(np.median(apart)))
+    return values[dense], command[dense], speed[dense], acceleration[dense]
 
 
 def start_values(cases: Sequence[Case], structure: Structure) -> dict[str, float]:
     """Values to start from: input gain, viscous friction and what is lost on the way, by least squares."""
     parts = [motion(c) for c in cases]
-    command, speed, acceleration = (np.concatenate([p[i] for p in parts]) for i in range(3))
+    _, command, speed, acceleration = (np.concatenate(column) for column in zip(*parts, strict=True))
     moving = np.abs(speed) > 0.02 * np.max(np.abs(speed))
     columns = np.column_stack([command, -speed, -np.sign(speed)])[moving]
     weight = np.ones(moving.sum())
@@ -83,7 +83,7 @@ def start_values(cases: Sequence[Case], structure: Structure) -> dict[str, float
 
 
 def _with_payload(
-    cases: Sequence[Case], parts: Sequence[tuple[FloatArray, FloatArray, FloatArray]]
+    cases: Sequence[Case], parts: Sequence[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]
 ) -> dict[str, float]:
     """Input gain, viscous friction and own inertia where payloads are known.
 
@@ -91,11 +91,8 @@ def _with_payload(
     sets the scale, and the noise of the acceleration stays on the side where it does least.
     """
     rows, commands = [], []
-    for case, (command, speed, acceleration) in zip(cases, parts, strict=True):
+    for case, (place, command, speed, acceleration) in zip(cases, parts, strict=True):
         inertia, moment = case.drive.known
-        ok = np.isfinite(case.drive.measured)
-        time = case.drive.time[ok]
-        place = np.interp(np.linspace(time[0], time[-1], len(speed)), time, case.drive.measured[ok])
         load = inertia * acceleration + 9.80665 * moment * np.sin(place)
         rows.append(np.column_stack([acceleration, speed, np.sign(speed), load]))
         commands.append(command)

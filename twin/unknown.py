@@ -237,10 +237,10 @@ def examine(missing: Missing, lever: float = 1.0, seed: int = 1) -> Leftover:
     return Leftover(max(best.share, 0.0), p_value, best.variables, best.table, best.size, tuple(found))
 
 
-def leftover(case: Case, structure: Structure, values: Mapping[str, float], since: float = 0.0) -> Leftover:
-    """Is there still structure in what a fitted model lacks, from `since` (s) on, that depends on the state?"""
+def leftover(case: Case, structure: Structure, values: Mapping[str, float]) -> Leftover:
+    """Is there still structure in what a fitted model lacks that depends on the state?"""
     (mine,) = ready.with_steps([case], structure)
-    return examine(locate.missing_torque(mine, structure, values).since(since), case.recording.lever)
+    return examine(locate.missing_torque(mine, structure, values), case.recording.lever)
 
 
 def is_left(found: Leftover) -> bool:

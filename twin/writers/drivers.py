@@ -5,7 +5,8 @@ generated functions, whose names it uses freely.
 
 `predict` runs the model in innovation form. At each stamp it notes what the sensor should read, then moves the
 state towards what it did read by the gains of a Kalman filter; without noise it is a free run. The filter knows
-whether motor and link touch: in the gap each is uncertain by itself, and nobody sees the motor. The command is
+whether motor and link touch: in the gap each is uncertain by itself, and nobody sees the motor. After a silence it
+begins anew where it reads the axis, and has predicted nothing. The command is
 held from stamp to stamp and acts `delay` later; pieces between edges are split so that none exceeds `longest`.
 `closed` simulates the rig's own loop: command = r * reference - y * output - v * velocity, raised to
 the smallest that the loop gives, clipped at the largest.
@@ -19,16 +20,17 @@ from __future__ import annotations
 import numpy as np
 
 
-def believing(noise, begin, c):
-    """The covariance at the first stamp, where link and motor are one, in units of a reading's variance.
+def believing(noise, now, c):
+    """The covariance where a filter begins, with link and motor as one, in units of a reading's variance.
 
-    `c` (10,) is that of the link's position and velocity (xx, xv, vv), of the motor's, and between them (xx, xv, vx,
-    vv); `noise` (3,) the density of the torque noise and the variances of position and velocity at the start.
+    `c` (11,) is that of the link's position and velocity (xx, xv, vv), of the motor's, between them (xx, xv, vx, vv),
+    and when there was a reading last; `noise` (4,) the density of the torque noise, the variances of position and
+    velocity at the start, and how long a silence may be.
     """
-    if begin == 0:
-        c[:] = 0.0
-        c[0] = c[3] = c[6] = noise[1]
-        c[2] = c[5] = c[9] = noise[2]
+    c[:] = 0.0
+    c[0] = c[3] = c[6] = noise[1]
+    c[2] = c[5] = c[9] = noise[2]
+    c[10] = now
 
 
 def spreading(c, h, damping, density, share, touching):
@@ -100,9 +102,9 @@ def predict(time, command, measured, noise, speed, closed, law, x, p, k, longest
     p = numbers(p)
     k = numbers(k)
     density = noise[0]
-    c = np.empty(10)
+    c = np.empty(11)
     gain = np.empty(4)
-    believing(noise, 0, c)
+    believing(noise, time[0], c)
     half = 0.0
     share = 0.5
     if has.backlash:
@@ -134,10 +136,20 @@ def predict(time, command, measured, noise, speed, closed, law, x, p, k, longest
             if i > 0:
                 touching = abs(x.gap) >= half * (1.0 - 1e-9)
                 spreading(c, time[i] - time[i - 1], p.viscous_friction, density, share, touching)
+            if seen and time[i] - c[10] > noise[3]:
+                predicted[i] = np.nan
+                if speed:
+                    x.velocity = x.velocity + error
+                    x.motor_velocity = x.motor_velocity + error
+                else:
+                    x.position = x.position + error
+                error = 0.0
+                believing(noise, time[i], c)
             spread[i] = correcting(c, speed, seen, gain)
             if len(pull) > 0:
                 pull[i] = (1.0 - share) * gain[1] + share * gain[3]
             if seen:
+                c[10] = time[i]
                 x.position = x.position + gain[0] * error
                 x.velocity = x.velocity + gain[1] * error
                 x.motor_velocity = x.motor_velocity + gain[3] * error
@@ -191,7 +203,8 @@ def predict_t(
     pd = numbers(pd)
     density = noise[0]
     gain = np.empty(4)
-    believing(noise, begin, c)
+    if begin == 0:
+        believing(noise, time[0], c)
     half = 0.0
     d_half = zero()
     share = 0.5
@@ -232,8 +245,22 @@ def predict_t(
             if i > 0:
                 touching = abs(x.gap) >= half * (1.0 - 1e-9)
                 spreading(c, time[i] - time[i - 1], p.viscous_friction, density, share, touching)
+            if seen and time[i] - c[10] > noise[3]:
+                predicted[i - begin] = np.nan
+                if speed:
+                    x.velocity = x.velocity + error
+                    x.motor_velocity = x.motor_velocity + error
+                    put(xd, 1, row(xd, 1) - d_reading)
+                    put(xd, 3, row(xd, 3) - d_reading)
+                else:
+                    x.position = x.position + error
+                    put(xd, 0, row(xd, 0) - d_reading)
+                error = 0.0
+                d_reading = zero()
+                believing(noise, time[i], c)
             spread[i - begin] = correcting(c, speed, seen, gain)
             if seen:
+                c[10] = time[i]
                 x.position = x.position + gain[0] * error
                 x.velocity = x.velocity + gain[1] * error
                 x.motor_velocity = x.motor_velocity + gain[3] * error
