@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from twin import kernel, likelihood, meetings, ready
+from twin import ascent, kernel, likelihood, meetings, ready
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.likelihood import Case, Point
@@ -151,3 +151,34 @@ def test_rattle_is_judged_in_free_runs_and_cut_with_its_recording() -> None:
     assert likelihood.ahead(case, 1.0, 2.0).rattling is None
     part = ready.part(case, TEETH, 3.0, 11.0)
     assert np.array_equal(part.rattling, case.rattling[1500:5501])
+
+
+@pytest.mark.parametrize(("begun", "after"), [(0.0, 0.0), (1.0, 0.0), (1.0, 2.5)])
+def test_until_motor_and_link_have_met_nothing_is_judged(begun: float, after: float) -> None:
+    """The first push comes at `begun`; the link moves by itself, or `after` the push."""
+    time = STEP * np.arange(5000)
+    duty = np.where(time >= begun, 20.0 * np.sign(np.sin(2.0 * np.pi * 0.4 * (time - begun) + 1e-9)), 1.0)
+    moving = np.maximum(time - begun - after, 0.0) if after else time
+    made = Recording("made", time, duty, COUNT * np.round(moving / COUNT), "%", "rad", COUNT)
+    hidden = meetings.beginning(likelihood.prepare(made, STRUCTURE))
+    assert hidden is not None and hidden[0] and not np.any(np.diff(hidden.astype(int)) > 0)
+    assert time[hidden][-1] == pytest.approx(begun + after + 0.25, abs=0.01)
+    pushed_once = replace(made, input=np.abs(duty))
+    assert meetings.beginning(likelihood.prepare(pushed_once, STRUCTURE)) is None
+
+
+@pytest.mark.parametrize("stands", [-1.0, -0.47, 0.3, 1.0])
+def test_where_in_its_gap_the_motor_stood_at_the_start_misleads_nobody(stands: float) -> None:
+    time = STEP * np.arange(4000)
+    duty = np.where(time > 0.4, 20.0 * np.sign(np.sin(2.0 * np.pi * 0.5 * time)), 0.0)
+    blank = Recording("made", time, duty, np.zeros(4000), "%", "rad", COUNT)
+    x = kernel.start_state(0.0, 0.0, 0.5 * stands * SOFT["backlash_gap"])
+    run = kernel.predict(likelihood.prepare(blank, TEETH).drive, kernel.vector(TEETH, SOFT), x)
+    recording = replace(blank, output=COUNT * np.round(run.reading / COUNT))
+    cases = ready.with_steps(ready.prepare([recording], TEETH), TEETH)
+    (chosen,) = ascent.choose_contacts(cases, TEETH, SOFT)
+    assert chosen.contact == pytest.approx(stands, abs=0.13)
+    density, free = likelihood.density_of(chosen, 0.1), ready.free_parameters(TEETH)
+    point = likelihood.climb([chosen], TEETH, SOFT, density, free)
+    truth = likelihood.evaluate([chosen], TEETH, SOFT, density, free)
+    assert truth.deviance - point.deviance < 3.0 * len(free)

@@ -50,6 +50,8 @@ _BRIEF, _RUNGS, _RINGS = 0.007, 12, 0.05
 #: Coarse values are looked for in so many parts of a recording, of so many seconds each, and the way on from there in
 #: longer parts: more would say no more of where the valleys lie, and take longer.
 _PARTS, _LASTING, _LONGER = 5, 4.0, 12.0
+#: Where in the gap a motor may start, and how many s of a recording at least, after motor and link have met, show it.
+_CONTACTS, _FIRST, _SHOWN = tuple(np.linspace(-1.0, 1.0, 9).tolist()), 3.0, 1.0
 _RIDGE = ("dead_band_forward", "dead_band_reverse")
 _FOLLOW = ("input_gain", "viscous_friction")
 #: By which powers of the gap the shares go with it, so that the motor crosses it in the same time.
@@ -104,7 +106,9 @@ def _glimpses(cases: Sequence[Case], structure: Structure, lasting: float = _LAS
         if end <= _PARTS * lasting:
             parts.append(case)
             continue
-        begins = np.linspace(0.0, end - lasting, _PARTS).tolist()
+        # Each begins with a reading: a part may lie in a long silence.
+        read = case.drive.time[np.isfinite(case.drive.measured) & (case.drive.time <= end - lasting)]
+        begins = read[np.linspace(0, len(read) - 1, _PARTS).astype(int)].tolist()
         parts += [ready.part(case, structure, begin, begin + lasting) for begin in begins]
     return parts
 
@@ -115,13 +119,15 @@ def choose_contacts(cases: Sequence[Case], structure: Structure, values: Mapping
         return list(cases)
     chosen = []
     for case in cases:
-        trial = ready.part(case, structure, 0.0, min(3.0, float(case.recording.time[-1])))
-        density = likelihood.density_of(trial, MEMORIES[0])
+        shown = 0.0 if case.beginning is None else float(case.drive.time[case.beginning][-1]) + _SHOWN
+        first = ready.part(case, structure, 0.0, min(max(_FIRST, shown), float(case.recording.time[-1])))
+        first = replace(first, beginning=None)
+        density = likelihood.density_of(first, MEMORIES[0])
         scored = [
-            (likelihood.evaluate([replace(trial, contact=s)], structure, values, density).deviance, s)
-            for s in (0.0, -1.0, 1.0)
+            (likelihood.evaluate([replace(first, contact=s)], structure, values, density).deviance, s)
+            for s in (case.contact, *_CONTACTS)
         ]
-        chosen.append(replace(case, contact=min(scored)[1]))
+        chosen.append(replace(case, contact=min(scored, key=lambda pair: pair[0])[1]))
     return chosen
 
 
@@ -288,19 +294,10 @@ def polish(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:
     if likelihood.astray(mine, point):
         return mine, point
     mine, point = foreseen(mine, point)
-    if "backlash" in point.structure:
-        chosen = []
-        for case in mine:
-            trials = [replace(case, contact=s) for s in (case.contact, -1.0, 0.0, 1.0)]
-            chosen.append(
-                min(
-                    trials,
-                    key=lambda c: likelihood.evaluate([c], point.structure, point.values, point.density).deviance,
-                )
-            )
-        if [c.contact for c in chosen] != [c.contact for c in mine]:
-            mine = chosen
-            point = likelihood.climb(mine, point.structure, point.values, point.density, point.free, rounds=15)
+    chosen = choose_contacts(mine, point.structure, point.values)
+    if [c.contact for c in chosen] != [c.contact for c in mine]:
+        mine = chosen
+        point = likelihood.climb(mine, point.structure, point.values, point.density, point.free, rounds=15)
     for _ in range(2):
         other = _elsewhere(mine, point)
         if other.deviance > point.deviance - point.unit:

@@ -7,6 +7,8 @@ larger than what the filter thinks possible, and an estimate would bend gap, dea
 together. Three such crossings in a minute outweigh all the rest. So readings around a meeting whose moment is unsure
 by enough to be seen are followed by the filter, but not judged.
 
+Where in its gap a motor stands at the start nobody knows, and so the first meeting is not judged where others follow.
+
 Nor are those between turns of the command that follow each other faster than the gears come to rest: which these are is
 known before any model is, so that all models are judged by the same.
 """
@@ -30,6 +32,9 @@ MOST = 0.25
 #: A command that turns again after less than this time, s, keeps a motor rattling; less than this share of the largest
 #: does not count as a turn; and so much of a recording is judged at least, or all of it.
 _RESTLESS, _IDLE, _ENOUGH = 0.25, 0.1, 0.3
+#: So many pushes there are at least where the first is not judged, and so many standard deviations of a reading show
+#: that it has moved the link.
+_PUSHES, _MOVED = 4, 5.0
 
 
 def _unforeseen(case: Case, point: Point) -> NDArray[np.bool_]:
@@ -77,6 +82,22 @@ def rattling(case: Case) -> NDArray[np.bool_] | None:
     for i, j in itertools.pairwise(turns.tolist()):
         hidden[i:j] = time[j] - time[i] < _RESTLESS
     return hidden if 0.0 < hidden.mean() <= 1.0 - _ENOUGH else None
+
+
+def beginning(case: Case) -> NDArray[np.bool_] | None:
+    """The stamps (N,) until the first push has brought motor and link together and to rest against each other; None
+    where few pushes follow, of which the first may say the most.
+
+    Half a gap more or less on the way there makes a jolt that any effect is welcome to explain.
+    """
+    time, command, measured = case.drive.time, case.drive.command, case.drive.measured
+    sign = np.sign(command) * (np.abs(command) > _IDLE * np.abs(command).max())
+    pushes = np.flatnonzero((sign != 0.0) & (np.diff(sign, prepend=0.0) != 0.0))
+    still = case.start[1] if case.drive.speed else case.start[0]
+    moved = np.flatnonzero(np.abs(measured - still) > _MOVED * np.sqrt(case.reading_variance))
+    if case.drive.closed or len(pushes) < _PUSHES or len(moved) == 0:
+        return None
+    return np.asarray(time < time[max(pushes[0], moved[0])] + _RESTLESS)
 
 
 def judged_throughout(cases: Sequence[Case]) -> list[Case]:

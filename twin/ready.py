@@ -54,8 +54,10 @@ def prepare(recordings: Sequence[Recording], structure: Structure, closed: bool 
     """
     cases = [likelihood.prepare(r, structure, closed) for r in recordings]
     least = min((c.reading_variance for c in cases), default=0.0)
-    loose = "backlash" in structure
-    return [replace(c, reading_variance=least, rattling=meetings.rattling(c) if loose else None) for c in cases]
+    cases = [replace(c, reading_variance=least) for c in cases]
+    if "backlash" not in structure:
+        return cases
+    return [replace(c, rattling=meetings.rattling(c), beginning=meetings.beginning(c)) for c in cases]
 
 
 def with_steps(cases: Sequence[Case], structure: Structure) -> list[Case]:
@@ -67,6 +69,6 @@ def with_steps(cases: Sequence[Case], structure: Structure) -> list[Case]:
 def part(case: Case, structure: Structure, begin: float, end: float) -> Case:
     """What was recorded between two moments (s), read by the same sensor."""
     cut = likelihood.prepare(case.recording.part(begin, end), structure)
-    time = case.recording.time
-    rattling = None if case.rattling is None else case.rattling[(time >= begin) & (time <= end)]
-    return replace(cut, reading_variance=case.reading_variance, rattling=rattling)
+    inside = (case.recording.time >= begin) & (case.recording.time <= end)
+    masks = {n: None if (m := getattr(case, n)) is None else m[inside] for n in ("rattling", "beginning")}
+    return replace(cut, reading_variance=case.reading_variance, **masks)
