@@ -278,3 +278,25 @@ def test_structures_are_complete_and_ordered():
     assert "coulomb_friction" in structure and structure.without("stribeck_friction").named == ("coulomb_friction",)
     assert {p.name for p in structure.parameters} >= {"stribeck_velocity", "input_gain"}
     assert len(STATES) == len(kernel.start_state(0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("share", [1.0, 0.8, 0.3])
+def test_friction_that_grows_with_load_knows_what_the_teeth_transmit(share):
+    """At a steady speed that is the drag of the link and what holds it; the motor's own drag never meets the teeth."""
+    structure = Structure.of((*BASE, "tooth_compliance", "load_dependent_friction"))
+    values = sane(structure, np.random.default_rng(0)) | {"load_friction": 0.3, "friction_share": share}
+    time = clock(12.0 / values["viscous_friction"])
+    _, states = run(structure, values, time, np.full(len(time), 40.0))
+    drag = values["viscous_friction"] * states[-1, 1]
+    through = (1.0 - share) * drag / (1.0 - (1.0 - share) * 0.3)
+    drive = values["input_gain"] * (40.0 - values["dead_band_forward"])
+    assert drag + 0.3 * through == pytest.approx(drive, rel=1e-3)
+
+
+def test_a_load_that_is_held_presses_on_the_teeth_with_the_drive_at_rest():
+    """Equal halves share what pulls at one of them: the friction that this presses out of the teeth brakes the fall."""
+    structure = Structure.of(("inertia", "viscous_friction", "constant_offset", "load_dependent_friction"))
+    values = {"input_gain": 0.3, "viscous_friction": 1.0, "offset": -2.0, "load_friction": 0.4}
+    time = clock(20.0)
+    _, states = run(structure, values, time, np.zeros(len(time)))
+    assert states[-1, 1] == pytest.approx(-(2.0 - 0.4 * 1.0) / 1.0, rel=1e-3)

@@ -334,15 +334,20 @@ def piece(x, p, k, command, h):
 
         push_m = torque + share * resist_m
         push_l = pull + (1.0 - share) * resist_l
+        # What the teeth transmit: the spring's torque, or what makes two bodies move as one.
+        through = 0.0
         if elastic == 1:
-            wound = tension(twist, speed_m - speed_l, side, half, stiffness, damping)
-            push_m = push_m - wound
-            push_l = push_l + wound
+            through = tension(twist, speed_m - speed_l, side, half, stiffness, damping)
+            push_m = push_m - through
+            push_l = push_l + through
+        elif side != 0:
+            through = (push_m * mass_l - push_l * mass_m) * per_total
+            if side * through < 0.0 and side != 2:
+                through = 0.0
         left_m = push_m
         left_l = push_l
         left = push_m + push_l
         if has.grip:
-            through = 0.5 * (torque - pull)
             forward = grip(place, speed_l, 1.0, through, p)
             reverse = grip(place, speed_l, -1.0, through, p)
             if forward < 0.0:

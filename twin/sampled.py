@@ -109,15 +109,17 @@ def clip(value, bound):
     return result
 
 
-def friction(place, speed, heading, through, p):
-    """Dry friction to be overcome; `through` is the transmitted torque without it, `heading` in [-1, 1]."""
+def friction(place, speed, heading, through, share, p):
+    """Dry friction to be overcome: the teeth transmit `through` without it, and carry `share` of it; `heading` lies in
+    [-1, 1].
+    """
     side = 1.0
     if heading < 0.0:
         side = -1.0
     held = 0.0
-    # Friction may depend on the torque that it is part of; the map contracts by half at least.
+    # Friction may depend on the torque that it is part of; the map contracts.
     for _ in range(12):
-        held = heading * grip(place, speed, side, through + 0.5 * held, p)
+        held = heading * grip(place, speed, side, through + share * held, p)
     return held
 
 
@@ -251,8 +253,14 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
 
     heading = clip(2.0 * y.velocity / g.rest_speed, 2.0) + clip((pace + closing) / g.rest_speed, 1.0)
     heading = clip(heading, 1.0)
-    through = 0.5 * (total * wish - resist) - pull
-    stiction = friction(y.position, y.velocity, heading, through, p)
+    # The teeth move the link, and carry what holds it.
+    mass_l = total - 0.5
+    share = 0.5
+    if has.backlash:
+        mass_l = total - p.motor_share
+        share = 1.0 - p.friction_share
+    through = mass_l * wish - share * resist - pull
+    stiction = friction(y.position, y.velocity, heading, through, share, p)
     torque = total * wish - pull - resist + stiction
     if has.motor_lag:
         # The acceleration that the lag's state gives now, and what it would take to change it in time.

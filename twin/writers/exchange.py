@@ -132,7 +132,12 @@ def rates(x, p, k, command):
     forward = 0.0
     reverse = 0.0
     if has.grip:
-        through = 0.5 * (torque - pull)
+        if has.backlash:
+            through = wound
+        else:
+            # Where nothing tells motor and link apart each is half of the axis.
+            resist = 0.5 * drag(x.position, x.velocity, p)
+            through = ((torque + resist) * (mass_l - 0.5) - 0.5 * (pull + resist)) / mass_l
         forward = grip(x.position, x.velocity, 1.0, through, p)
         reverse = grip(x.position, x.velocity, -1.0, through, p)
         if forward < 0.0:

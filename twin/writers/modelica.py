@@ -231,6 +231,10 @@ def write(model: Model) -> str:
     equations.append(f"load = {_sum(model, 'load', link)};")
     declared.append(_declare("Real", "mass", "1", "inertia, in units of that of the axis"))
     equations.append(f"mass = 1 + {_sum(model, 'mass', link)};")
+    drag_link = _sum(model, "drag", link)
+    # Where nothing tells motor and link apart each is half of the axis.
+    resist = f"0.5*({drag_link})"
+    transmitted = "contact" if two else f"(((torque + {resist})*(mass - 0.5) - 0.5*(load + {resist}))/mass)"
     if slots["grip"]:
         declared += [
             "    // Dry friction holds exactly in the identified model; here the body gives by `presliding` at most.",
@@ -240,7 +244,7 @@ def write(model: Model) -> str:
         for name, direction in (("grip_forward", "1.0"), ("grip_reverse", "-1.0")):
             way = "forwards" if direction == "1.0" else "backwards"
             declared.append(_declare("Real", name, f"{x}/s^2", f"size of the dry friction {way}"))
-            given = {**link, "direction": direction, "transmitted": "(0.5*(torque - load))"}
+            given = {**link, "direction": direction, "transmitted": transmitted}
             equations.append(f"{name} = max({_sum(model, 'grip', given)}, 0);")
     bodies = (("motor", "motor_velocity", "friction_share"), ("link", "velocity", "(1 - friction_share)"))
     for body, speed, share in bodies if two else (("link", "velocity", "1"),):
@@ -249,7 +253,6 @@ def write(model: Model) -> str:
             declared += more
             equations += held
     gripped = {body: f" - friction_{body}" if slots["grip"] else "" for body in ("motor", "link")}
-    drag_link = _sum(model, "drag", link)
     if two:
         drag_motor = _sum(model, "drag", {"position": "position", "velocity": "motor_velocity"})
         more, joined = _transmission(model, x)
