@@ -14,6 +14,7 @@ SANE: dict[str, tuple[float, float]] = {
     "input_gain": (0.15, 0.6),
     "viscous_friction": (0.5, 6.7),
     "fade": (0.1, 0.3),
+    "fade_emf": (0.3, 1.0),
     "fade_time": (5.0, 60.0),
     "fade_reference": (50.0, 50.0),
     "supply_sag": (0.002, 0.006),

@@ -280,7 +280,6 @@ def piece(x, p, k, command, h):
     warm = 0.0
     if has.thermal_fade:
         varies = 1
-        warm = (command / p.fade_reference) ** 2
     moment = x.time
     place = x.position
     speed_l = x.velocity
@@ -313,6 +312,11 @@ def piece(x, p, k, command, h):
             emf = 0.0
             if has.supply_sag:
                 emf = p.viscous_friction * speed_m / p.input_gain
+            if has.thermal_fade:
+                emf = p.viscous_friction * speed_m / p.input_gain
+                if stage == 0:
+                    cold = drive(command, emf, 0.0, place + twist, p)
+                    warm = ((cold - p.fade_emf * emf) / p.fade_reference) ** 2
             acting = drive(command, emf, heat, place + twist, p)
         mean = acting
         if has.motor_lag:

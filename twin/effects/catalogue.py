@@ -43,18 +43,18 @@ from twin.effects import (
 )
 from twin.effects.effect import Effect
 
-#: Every effect by id. Drive laws apply in this order: the command is faded, sags, is clipped, bent,
-#: loses its dead-band, and then is what the motor makes of it at its angle.
+#: Every effect by id. Drive laws apply in this order: the command sags, is clipped, bent, loses its dead-band,
+#: and then is what the motor, warm as it is, makes of it at its angle.
 EFFECTS: Mapping[str, Effect] = {
     page.EFFECT.id: page.EFFECT
     for page in (
         inertia,
         viscous_friction,
-        thermal_fade,
         supply_sag,
         drive_saturation,
         unknown_input,
         dead_band,
+        thermal_fade,
         unknown_gain,
         unknown_push,
         backlash,

@@ -9,7 +9,9 @@ from twin.quantities import Parameter
 
 
 def law(q: Any, p: Any) -> Any:
-    return q.command * (1.0 - p.fade * q.heat)
+    # A warm winding passes less current, whether the drive or the back-EMF drives it.
+    lost = p.fade * q.heat
+    return q.command * (1.0 - lost) + lost * p.fade_emf * q.emf
 
 
 EFFECT = Effect(
@@ -18,11 +20,10 @@ EFFECT = Effect(
     station="drive",
     slot="drive",
     parameters=(
-        Parameter("fade", "1", "loss of gain when warmed through at the reference command", 0.0, -0.5, 0.9),
+        Parameter("fade", "1", "loss of gain when warmed through by the reference current", 0.0, -0.5, 0.9),
+        Parameter("fade_emf", "1", "how much of the viscous friction is the motor's back-EMF", None, 0.0, 1.0, 0.8),
         Parameter("fade_time", "s", "thermal time constant", None, 1.0, 3600.0, 30.0),
-        Parameter(
-            "fade_reference", "{u}", "command whose heating counts as one", None, start=50.0, estimated=False
-        ),
+        Parameter("fade_reference", "{u}", "command that heats a held motor by one", None, start=50.0, estimated=False),
     ),
     law=law,
     depends_on=("time", "input"),

@@ -119,12 +119,14 @@ def rates(x, p, k, command):
     emf = 0.0
     if has.supply_sag:
         emf = p.viscous_friction * speed_m / p.input_gain
+    if has.thermal_fade:
+        emf = p.viscous_friction * speed_m / p.input_gain
+        cold = drive(command, emf, 0.0, x.position + x.gap, p)
+        x.rate_heat = (((cold - p.fade_emf * emf) / p.fade_reference) ** 2 - x.heat) / p.fade_time
     acting = drive(command, emf, x.heat, x.position + x.gap, p)
     if has.motor_lag:
         x.rate_lag = (acting - x.lag) / p.lag_time
         acting = x.lag
-    if has.thermal_fade:
-        x.rate_heat = ((command / p.fade_reference) ** 2 - x.heat) / p.fade_time
     torque = p.input_gain * acting
     pull = 0.0
     if has.load:

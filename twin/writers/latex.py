@@ -69,6 +69,7 @@ SYMBOLS: dict[str, str] = {
     "sag_reference": "u_{s}",
     "saturation_limit": r"u_{\max}",
     "fade": r"\kappa",
+    "fade_emf": r"\rho_{h}",
     "fade_time": "T_{h}",
     "fade_reference": "u_{h}",
 }

@@ -116,15 +116,14 @@ def _drive(model: Model, x: str, u: str) -> tuple[list[str], list[str], str]:
         declared.append(_declare("Real", "arriving", u, "command after the dead time"))
         equations.append(f"arriving = delay({acting}, delay_time);")
         acting = "arriving"
-    arrived = acting
-    if has("thermal_fade"):
-        declared.append(_declare("Real", "heat", "1", "warming of the motor", more=_RESTING))
-        equations.append(f"der(heat) = (({arrived}/fade_reference)^2 - heat)/fade_time;")
-    if has("supply_sag"):
+    if has("supply_sag") or has("thermal_fade"):
         speed = "motor_velocity" if has("backlash") else "velocity"
         declared.append(_declare("Real", "emf", u, "back-EMF, as command"))
         equations.append(f"emf = viscous_friction*{speed}/input_gain;")
     for effect in laws_by_slot(model.structure)["drive"]:
+        if effect == "thermal_fade":
+            declared.append(_declare("Real", "heat", "1", "warming of the motor", more=_RESTING))
+            equations.append(f"der(heat) = ((({acting} - fade_emf*emf)/fade_reference)^2 - heat)/fade_time;")
         name = f"after_{effect}"
         declared.append(_declare("Real", name, u, f"command after {effect.replace('_', ' ')}"))
         equations.append(f"{name} = {_law(effect, {'command': acting})};")
