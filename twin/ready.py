@@ -70,5 +70,5 @@ def part(case: Case, structure: Structure, begin: float, end: float) -> Case:
     """What was recorded between two moments (s), read by the same sensor."""
     cut = likelihood.prepare(case.recording.part(begin, end), structure)
     inside = (case.recording.time >= begin) & (case.recording.time <= end)
-    masks = {n: None if (m := getattr(case, n)) is None else m[inside] for n in ("rattling", "beginning")}
-    return replace(cut, reading_variance=case.reading_variance, **masks)
+    rattling, beginning = (None if m is None else m[inside] for m in (case.rattling, case.beginning))
+    return replace(cut, reading_variance=case.reading_variance, rattling=rattling, beginning=beginning)
