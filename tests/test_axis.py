@@ -300,3 +300,16 @@ def test_a_load_that_is_held_presses_on_the_teeth_with_the_drive_at_rest():
     time = clock(20.0)
     _, states = run(structure, values, time, np.zeros(len(time)))
     assert states[-1, 1] == pytest.approx(-(2.0 - 0.4 * 1.0) / 1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_each_body_has_its_own_part_of_the_dry_friction(share):
+    """Alone in a wide gap motor and link slow down as if the other were not there."""
+    structure = Structure.of((*BASE, "coulomb_friction"))
+    values = PLAIN | GAP | {"viscous_friction": 0.0, "backlash_gap": 0.4, "coulomb_friction": 1.5, "dry_share": share}
+    time = clock(0.1)
+    start = kernel.start_state(0.0, 0.5, 0.0)
+    start[3] = 1.0
+    _, states = run(structure, values, time, np.zeros(len(time)), start)
+    for body, part, inertia in ((3, share, GAP["motor_share"]), (1, 1.0 - share, 1.0 - GAP["motor_share"])):
+        assert states[-1, body] == pytest.approx(start[body] - 1.5 * part / inertia * time[-1], abs=1e-9)

@@ -67,7 +67,7 @@ class Structure:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(p for e in self.effects for p in e.parameters)
+        return tuple(p for e in self.effects for p in e.parameters if not p.slot or p.slot in self.slots)
 
     @property
     def slots(self) -> frozenset[str]:
@@ -186,10 +186,12 @@ def piece(x, p, k, command, h):
     half = 0.0
     mass_m = 0.5
     share = 0.5
+    dry = 0.5
     if has.backlash:
         half = 0.5 * p.backlash_gap
         mass_m = p.motor_share
         share = p.friction_share
+        dry = p.dry_share
     # Compliant teeth and an elastic joint are the same spring beyond the gap: the softer one is what is seen.
     elastic = 0
     rate = 0.0
@@ -358,8 +360,8 @@ def piece(x, p, k, command, h):
                 forward = 0.0
             if reverse < 0.0:
                 reverse = 0.0
-            left_m = net(push_m, share * forward, share * reverse, x.motor_velocity)
-            left_l = net(push_l, (1.0 - share) * forward, (1.0 - share) * reverse, x.velocity)
+            left_m = net(push_m, dry * forward, dry * reverse, x.motor_velocity)
+            left_l = net(push_l, (1.0 - dry) * forward, (1.0 - dry) * reverse, x.velocity)
             left = net(left, forward, reverse, x.velocity)
         together = 0
         if elastic == 0:

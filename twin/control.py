@@ -353,6 +353,6 @@ def _hunting(controller: Controller) -> LimitCycle | None:
     """The limit cycle that the gap would cause in the linear loop."""
     values, law = controller.values, controller.laws
     held = min(law.grip(0.0, 0.0, side, 0.0, controller.parameter_list) for side in (1.0, -1.0))
-    share = 1.0 - values.get("friction_share", 0.0)
+    share = 1.0 - values.get("dry_share", 0.0)
     gap = values.get("backlash_gap", 0.0)
     return linear.limit_cycle(controller, gap, values.get("motor_share", 0.5), share * held)

@@ -51,7 +51,7 @@ def _remedy(name: str, partner: str) -> str:
     both = {name, partner}
     if any(n.startswith("dead_band") for n in both) and "coulomb_friction" in both:
         return "add a slow triangle through zero and coast-downs: dead-band and dry friction are one in steady state"
-    if both & {"backlash_gap", "motor_share", "friction_share", "tooth_frequency", "tooth_damping"}:
+    if both & {"backlash_gap", "motor_share", "friction_share", "dry_share", "tooth_frequency", "tooth_damping"}:
         return "add reversals at two or more amplitudes"
     return "add steps at more duties, coast-downs and slow ramps"
 

@@ -56,10 +56,12 @@ SETTINGS: dict[str, tuple[str, str]] = {
 
 def answer(target, emf, heat, place, limit, p):
     """The smallest command at which the drive passes on `target`, or the one that comes closest to it."""
+    # What a warm motor that turns passes on without a command.
+    rest = drive(0.0, emf, heat, place, p)
     side = 1.0
-    if target < 0.0:
+    if target < rest:
         side = -1.0
-    wanted = side * target
+    wanted = side * (target - rest)
     low = 0.0
     high = 0.0
     peak = 0.0
@@ -67,7 +69,7 @@ def answer(target, emf, heat, place, limit, p):
     # In parts, because a sagging supply makes a drive that passes on less where more is commanded.
     for i in range(16):
         high = limit * (i + 1.0) / 16.0
-        got = side * drive(side * high, emf, heat, place, p)
+        got = side * (drive(side * high, emf, heat, place, p) - rest)
         if got > most:
             most = got
             peak = high
@@ -81,7 +83,8 @@ def answer(target, emf, heat, place, limit, p):
     else:
         for _ in range(36):
             middle = 0.5 * (low + high)
-            if side * drive(side * middle, emf, heat, place, p) >= wanted:
+            got = side * (drive(side * middle, emf, heat, place, p) - rest)
+            if got >= wanted:
                 high = middle
             else:
                 low = middle
@@ -90,12 +93,14 @@ def answer(target, emf, heat, place, limit, p):
 
 def invert(target, emf, heat, place, p, g):
     """The command for an effective command; through zero a straight line, so that noise does not jump a dead-band."""
-    if target > g.blur or target < -g.blur:
+    rest = drive(0.0, emf, heat, place, p)
+    beyond = target - rest
+    if beyond > g.blur or beyond < -g.blur:
         command = answer(target, emf, heat, place, g.limit, p)
     else:
-        upper = answer(g.blur, emf, heat, place, g.limit, p)
-        lower = answer(-g.blur, emf, heat, place, g.limit, p)
-        command = lower + (target + g.blur) * (upper - lower) / (2.0 * g.blur)
+        upper = answer(rest + g.blur, emf, heat, place, g.limit, p)
+        lower = answer(rest - g.blur, emf, heat, place, g.limit, p)
+        command = lower + (beyond + g.blur) * (upper - lower) / (2.0 * g.blur)
     return command
 
 
@@ -256,11 +261,13 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
     # The teeth move the link, and carry what holds it.
     mass_l = total - 0.5
     share = 0.5
+    dry = 0.5
     if has.backlash:
         mass_l = total - p.motor_share
         share = 1.0 - p.friction_share
+        dry = 1.0 - p.dry_share
     through = mass_l * wish - share * resist - pull
-    stiction = friction(y.position, y.velocity, heading, through, share, p)
+    stiction = friction(y.position, y.velocity, heading, through, dry, p)
     torque = total * wish - pull - resist + stiction
     if has.motor_lag:
         # The acceleration that the lag's state gives now, and what it would take to change it in time.

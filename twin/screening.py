@@ -212,7 +212,7 @@ def _nested_starts(
     unmoved = {k: v for k, v in neutral(effect).items() if k not in base.values}
     starts = []
     for trial in trials:
-        values = {**base.values, **unmoved, **trial}
+        values = ready.completed(structure, {**base.values, **unmoved, **trial})
         free = (*base.free, screen.gain, *companions)
         if screen.pair is None:
             point = likelihood.evaluate(cases, structure, values, base.density, free)
@@ -263,7 +263,7 @@ def _direct_starts(
     """Starts of a candidate that is tried as it is; what the rest of the model would regain is promised too."""
     structure = extended(base.structure, effect)
     unmoved = {k: v for k, v in neutral(effect).items() if k not in base.values}
-    places = [{**base.values, **unmoved, **_inside(t)} for t in trials]
+    places = [ready.completed(structure, {**base.values, **unmoved, **_inside(t)}) for t in trials]
     # A valley may be narrow, and its walls are what a place beside it shows: the likeliest walk a little before they
     # are judged.
     places.sort(key=lambda v: likelihood.evaluate(cases, structure, v, base.density).deviance)

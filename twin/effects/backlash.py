@@ -16,7 +16,10 @@ EFFECT = Effect(
             "motor_share", "1", "the motor's share of the inertia, seen at the link", None, 0.02, 0.98, 0.25
         ),
         Parameter(
-            "friction_share", "1", "the motor's share of the friction, seen at the link", None, 0.0, 1.0, 0.7
+            "friction_share", "1", "the motor's share of the viscous friction, seen at the link", None, 0.0, 1.0, 0.7
+        ),
+        Parameter(
+            "dry_share", "1", "the motor's share of the dry friction, seen there", None, 0.0, 1.0, 0.5, slot="grip"
         ),
     ),
     law=None,

@@ -87,12 +87,14 @@ def rates(x, p, k, command):
     half = 0.0
     mass_m = 0.0
     share = 0.0
+    dry = 0.0
     speed_m = x.velocity
     wound = 0.0
     if has.backlash:
         half = 0.5 * p.backlash_gap
         mass_m = p.motor_share
         share = p.friction_share
+        dry = p.dry_share
         speed_m = x.motor_velocity
         rate = 0.0
         ratio = 0.0
@@ -146,8 +148,8 @@ def rates(x, p, k, command):
             forward = 0.0
         if reverse < 0.0:
             reverse = 0.0
-    x.forward_motor = share * forward
-    x.reverse_motor = share * reverse
+    x.forward_motor = dry * forward
+    x.reverse_motor = dry * reverse
     x.forward_link = forward - x.forward_motor
     x.reverse_link = reverse - x.reverse_motor
     x.push_link = pull + (1.0 - share) * drag(x.position, x.velocity, p) + wound

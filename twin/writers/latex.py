@@ -27,6 +27,7 @@ SYMBOLS: dict[str, str] = {
     "backlash_gap": "g",
     "motor_share": "J_{m}",
     "friction_share": r"\beta_{m}",
+    "dry_share": r"\phi_{m}",
     "tooth_frequency": "f_{t}",
     "tooth_damping": r"\zeta_{t}",
     "joint_frequency": "f_{j}",

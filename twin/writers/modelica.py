@@ -245,7 +245,7 @@ def write(model: Model) -> str:
             declared.append(_declare("Real", name, f"{x}/s^2", f"size of the dry friction {way}"))
             given = {**link, "direction": direction, "transmitted": transmitted}
             equations.append(f"{name} = max({_sum(model, 'grip', given)}, 0);")
-    bodies = (("motor", "motor_velocity", "friction_share"), ("link", "velocity", "(1 - friction_share)"))
+    bodies = (("motor", "motor_velocity", "dry_share"), ("link", "velocity", "(1 - dry_share)"))
     for body, speed, share in bodies if two else (("link", "velocity", "1"),):
         if slots["grip"]:
             more, held = _friction(body, speed, share, x)
