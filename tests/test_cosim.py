@@ -44,7 +44,7 @@ PLANTED = {
     "spring": {"spring_stiffness": 5.0, "spring_rest": 0.3},
     "stribeck_friction": {"coulomb_friction": 1.0, "stribeck_friction": 1.0, "stribeck_velocity": 0.2},
     "supply_sag": {"supply_sag": 0.003},
-    "thermal_fade": {"fade": 0.3, "fade_time": 5.0},
+    "thermal_fade": {"fade": 0.3, "fade_time": 5.0, "fade_reference": 20.0},
     "torque_ripple": {"ripple_torque": 1.5, "ripple_order": 12.0},
 }
 

@@ -23,7 +23,7 @@ VALUES = {
     "backlash_gap": 0.02, "motor_share": 0.25, "friction_share": 0.6,
 }  # fmt: skip
 PLANTED = {
-    "coulomb_friction": {"coulomb_friction": 0.8},
+    "coulomb_friction": {"coulomb_friction": 0.8, "dry_share": 0.6},
     "quadratic_drag": {"quadratic_drag": 0.08},
     "motor_lag": {"lag_time": 0.008},
     "input_delay": {"delay": 0.008},

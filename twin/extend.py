@@ -55,7 +55,7 @@ def says(effect: str, model: Model) -> str:
     """The sentence of an effect with the model's numbers in it."""
     shown = {}
     for i in (effect, *EFFECTS[effect].includes):
-        for p in EFFECTS[i].parameters:
+        for p in (p for p in EFFECTS[i].parameters if p.name in model.values):
             value, std = model.values[p.name], model.std(p.name)
             unit = model.unit(p.name)
             spread = f" ± {std:.2g}" if math.isfinite(std) else ""

@@ -209,7 +209,8 @@ def _documentation(model: Model) -> str:
     """HTML from the pages of the effects: what each is, its law as it stands in the equations, its source."""
     parts = ["<p>A motor-driven axis. Accelerations and inertias are relative to the inertia of the axis.</p>", "<ul>"]
     for e in model.structure.effects:
-        values = {p.name: f"{model.values[p.name]:.4g} {model.unit(p.name)}" for p in e.parameters}
+        own = [p.name for p in e.parameters if p.name in model.values]
+        values = {name: f"{model.values[name]:.4g} {model.unit(name)}" for name in own}
         said = html.escape(e.sentence.format(**values))
         law = f"<br><code>{html.escape(_law(e.id, {}))}</code>" if e.law is not None else ""
         parts.append(f"<li><b>{html.escape(e.title)}</b>: {said}{law}<br><i>{html.escape(e.reference)}</i></li>")
