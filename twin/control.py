@@ -92,10 +92,10 @@ def _holding(model: Model) -> float:
 
 
 def _reading_variance(model: Model) -> float:
-    """Variance of one position reading."""
+    """Variance of one position reading; an identified spread has the counts in it."""
     if model.reads_speed:
         return 0.0
-    return model.reading_std**2 + model.resolution**2 / 12.0
+    return max(model.reading_std**2, model.resolution**2 / 12.0)
 
 
 def _observer(model: Model, controller: Controller, rate: float) -> tuple[dict[str, float], float]:
