@@ -1,6 +1,7 @@
-"""Does the tool name what it is not told? Effects concealed in MuJoCo rigs, labels sealed until it has answered.
+"""Does the tool name what it is not told? Effects concealed in simulated rigs, labels sealed until it has answered.
 
     python scripts/blind_trial.py --trials 20 --seed 1 --json trials.jsonl
+    python scripts/blind_trial.py --rigs circuit --trials 20 --seed 1
     python scripts/blind_trial.py --summarise trials.jsonl
 
 One trial: rig, excitation, effects and their sizes are drawn; SHA-256 of label and salt is printed; the tool gets
@@ -31,8 +32,10 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import circuit_rig
+import mujoco_rig
+from concealed import Concealed, visibility
 from excitations import EXCITATIONS, FREE
-from mujoco_rig import OUTSIDE, TURN, VOCABULARY, Concealed, Rig, draw_effect, draw_rig, simulate, visibility
 
 from twin import extend
 from twin.axis import Structure
@@ -50,6 +53,8 @@ REDRAWS = 8
 VISIBILITIES = (FLOOR, 2.0, VISIBLE, 5.0, 10.0, 30.0, math.inf)
 NOTHING, UNKNOWN, FAILED = "nothing", "unknown", "failed"
 START = Structure.of(BASE)
+SIMULATORS: dict[str, Any] = {"mujoco": mujoco_rig, "circuit": circuit_rig}
+VOCABULARY = mujoco_rig.VOCABULARY  # of each
 
 
 @dataclass(frozen=True)
@@ -68,6 +73,7 @@ class Label:
 
     seed: int
     trial: int
+    rigs: str
     kind: str
     excitation: str
     duration: float
@@ -147,11 +153,11 @@ class Outcome:
 # ---- making trials; this knows the truth ----
 
 
-def _ids(rng: np.random.Generator, kind: str) -> tuple[str, ...]:
+def _ids(rng: np.random.Generator, kind: str, outside: Sequence[str]) -> tuple[str, ...]:
     if kind == "none":
         return ()
     if kind == "outside":
-        return (str(rng.choice(OUTSIDE)),)
+        return (str(rng.choice(outside)),)
     while True:
         ids = tuple(rng.choice(VOCABULARY, 2 if kind == "pair" else 1, replace=False).tolist())
         if len(Structure.of((*BASE, *ids)).named) == len(ids):  # neither of a pair brings the other along
@@ -159,41 +165,46 @@ def _ids(rng: np.random.Generator, kind: str) -> tuple[str, ...]:
 
 
 def _plant(
-    rng: np.random.Generator, effect: str, rig: Rig, stamps: Array, duty: Array, noise_seed: int, duration: float
-) -> Planted | None:
+    rng: np.random.Generator, effect: str, simulator: Any, rig: Any, stamps: Array, duty: Array, noise_seed: int,
+    duration: float,
+) -> Planted | None:  # fmt: skip
     """The effect at a size drawn log-uniformly from its noise floor up; None where it cannot show at all."""
     least = SMALLEST
     for _ in range(REDRAWS):
         size = least * (LARGEST / least) ** float(rng.uniform())
-        drawn = draw_effect(rng, effect, rig, size, duration)
-        seen = visibility(rig, [drawn], stamps, duty, noise_seed)
+        drawn = simulator.draw_effect(rng, effect, rig, size, duration)
+        seen = visibility(simulator.simulate, rig, [drawn], stamps, duty, noise_seed)
         if seen >= FLOOR:
             return Planted(effect, size, seen, drawn.parameters)
         least = size  # visibility grows with size: what is below need not be tried again
     return None
 
 
-def make(seed: int, trial: int, kinds: Sequence[str], duration: float) -> tuple[Label, str, Recording]:
-    """A trial's label, its salt and the recording, all by seed and number."""
+def make(
+    seed: int, trial: int, kinds: Sequence[str], duration: float, rigs: str = "mujoco"
+) -> tuple[Label, str, Recording]:
+    """A trial's label, its salt and the recording, all by simulator, seed and number."""
+    simulator = SIMULATORS[rigs]
     rng = np.random.default_rng([seed, trial])
     salt = rng.bytes(16).hex()
     shares = np.array([KINDS[k] for k in kinds])
     kind = str(rng.choice(kinds, p=shares / shares.sum()))
     while True:
-        rig, excitation, ids = draw_rig(rng), str(rng.choice(list(EXCITATIONS))), _ids(rng, kind)
+        rig, excitation = simulator.draw_rig(rng), str(rng.choice(list(EXCITATIONS)))
+        ids = _ids(rng, kind, simulator.OUTSIDE)
         stamps, duty = EXCITATIONS[excitation](duration, rng, FREE)
         noise_seed = int(rng.integers(2**31))
         planted = []
         for effect in ids:
-            found = _plant(rng, effect, rig, stamps, duty, noise_seed, duration)
+            found = _plant(rng, effect, simulator, rig, stamps, duty, noise_seed, duration)
             if found is None:
                 break
             planted.append(found)
         else:
             break
-    label = Label(seed, trial, kind, excitation, duration, rig.truths(), tuple(planted))
-    run = simulate(rig, [Concealed(p.id, p.parameters) for p in planted], stamps, duty, noise_seed)
-    count = TURN / run.counts_per_revolution
+    label = Label(seed, trial, rigs, kind, excitation, duration, rig.truths(), tuple(planted))
+    run = simulator.simulate(rig, [Concealed(p.id, p.parameters) for p in planted], stamps, duty, noise_seed)
+    count = 2.0 * math.pi / run.counts_per_revolution
     return label, salt, Recording(f"trial {trial}", run.time, run.duty, run.counts * count, "%", "rad", count)
 
 
@@ -217,8 +228,8 @@ def ask(recording: Recording, candidates: Sequence[str] = CANDIDATES) -> Answer:
 # ---- running them ----
 
 
-def _trial(pool: Executor, seed: int, trial: int, kinds: Sequence[str], duration: float) -> Outcome:
-    label, salt, recording = make(seed, trial, kinds, duration)
+def _trial(pool: Executor, seed: int, trial: int, kinds: Sequence[str], duration: float, rigs: str) -> Outcome:
+    label, salt, recording = make(seed, trial, kinds, duration, rigs)
     sealed = seal(label, salt)
     print(f"trial {trial}: sealed {sealed}", flush=True)
     answer = pool.submit(ask, recording).result()
@@ -249,6 +260,7 @@ def run(
     seed: int,
     kinds: Sequence[str],
     duration: float,
+    rigs: str,
     processes: int,
     done: Callable[[Outcome], None],
 ) -> list[Outcome]:
@@ -262,7 +274,7 @@ def run(
         ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool,
         ThreadPoolExecutor(processes) as threads,
     ):
-        waiting = [threads.submit(_trial, pool, seed, n, kinds, duration) for n in trials]
+        waiting = [threads.submit(_trial, pool, seed, n, kinds, duration, rigs) for n in trials]
         try:
             for future in as_completed(waiting):
                 outcomes.append(future.result())
@@ -336,7 +348,8 @@ def calibration_error(given: Sequence[tuple[float, bool]]) -> float:
 def confusion(outcomes: Iterable[Outcome]) -> str:
     """Truth in the rows, the first name given in the columns."""
     cells = Counter(((o.label.effects[0].id if o.label.effects else NOTHING), o.answer.first) for o in outcomes)
-    known = (NOTHING, *VOCABULARY, *OUTSIDE, UNKNOWN, FAILED)
+    outside = sorted({i for s in SIMULATORS.values() for i in s.OUTSIDE})
+    known = (NOTHING, *VOCABULARY, *outside, UNKNOWN, FAILED)
     ids = [i for i in known if any(i in pair for pair in cells)]
     said = [i for i in ids if any(column == i for _, column in cells)]
     lines = [" " * 33 + "".join(f"{ids.index(i) + 1:4}" for i in said)]
@@ -420,6 +433,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--first", type=int, default=0, help="number of the first trial, to go on where one stopped")
     parser.add_argument("--seed", type=int, default=1, help="draws everything")
+    parser.add_argument("--rigs", choices=SIMULATORS, default="mujoco", help="the simulator that they are made with")
     parser.add_argument("--duration", type=float, default=30.0, help="of a recording, s")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--kinds", type=_kinds, default=tuple(KINDS), help=f"some of {','.join(KINDS)}")
@@ -436,7 +450,7 @@ def main(arguments: list[str] | None = None) -> None:
         return
     numbers = range(given.first, given.first + given.trials)
     save = (lambda outcome: write(given.json, outcome)) if given.json else (lambda outcome: None)
-    outcomes = run(numbers, given.seed, given.kinds, given.duration, given.processes, save)
+    outcomes = run(numbers, given.seed, given.kinds, given.duration, given.rigs, given.processes, save)
     print("\n" + summary(outcomes))
 
 

@@ -36,9 +36,10 @@ from scipy import stats
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+from concealed import Concealed
 from excitations import Limits as Range
 from excitations import Signal, paper, rich
-from mujoco_rig import TURN, Concealed, Rig, draw_effect, draw_rig, simulate
+from mujoco_rig import TURN, Rig, draw_effect, draw_rig, simulate
 
 from twin import ascent, compare, explain, likelihood, ready
 from twin.experiment import NEEDED, Limits, separate, sharpen

@@ -17,8 +17,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+from concealed import Concealed
 from excitations import FREE, rich
-from mujoco_rig import Concealed, Rig, Simulated, draw_effect, draw_rig, simulate
+from mujoco_rig import Rig, Simulated, draw_effect, draw_rig, simulate
 
 CANDIDATES = ("coulomb_friction", "gravity", "motor_lag", "torque_ripple")
 RIG_FILE = Path(__file__).resolve().parents[1] / "models" / "shipped" / "rig.toml"

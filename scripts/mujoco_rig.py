@@ -20,6 +20,7 @@ from math import exp, pi, sin, sqrt
 
 import mujoco
 import numpy as np
+from concealed import Concealed
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -92,14 +93,6 @@ def draw_rig(rng: np.random.Generator) -> Rig:
         counts_per_revolution=int(rng.choice([10000, 10000, 10000, 4096, 8192, 16384, 20000, 40000])),
         encoder_phase=float(rng.uniform()),
     )
-
-
-@dataclass(frozen=True)
-class Concealed:
-    """One effect put into a rig. The parameters' units are those of this module."""
-
-    id: str
-    parameters: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -598,25 +591,6 @@ def simulate(
     torque = np.interp(stamps, at, track[:, 4])
     per_turn = rig.counts_per_revolution
     return Simulated(time, duty, counts, link, link_speed, motor, motor_speed, torque, per_turn)
-
-
-def visibility(
-    rig: Rig, effects: Sequence[Concealed], time: Array, duty: Array, seed: int, window: float = 0.5
-) -> float:
-    """How much more the effects change than noise does: RMS change of the travel per window, in counts,
-    over the same for another seed of the noise. Runs are not restarted at each window, so above ten or so it
-    only says "plain to see".
-    """
-    plain = simulate(rig, [], time, duty, seed).counts
-    other = simulate(rig, [], time, duty, seed + 1).counts
-    changed = simulate(rig, effects, time, duty, seed).counts
-    stride = max(int(np.searchsorted(time - time[0], window)), 1)
-
-    def travel_change(counts: NDArray[np.int64]) -> float:
-        change = (counts - plain).astype(float)
-        return float(np.sqrt(np.mean((change[stride:] - change[:-stride]) ** 2)))
-
-    return travel_change(changed) / max(travel_change(other), 0.5)
 
 
 def _run(

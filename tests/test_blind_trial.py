@@ -17,11 +17,13 @@ pytest.importorskip("mujoco", reason="the recordings' generator needs the extra 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
 import blind_trial
+import mujoco_rig
 from blind_trial import (
     FAILED,
     FLOOR,
     KINDS,
     NOTHING,
+    SIMULATORS,
     UNKNOWN,
     Answer,
     Label,
@@ -51,7 +53,7 @@ def outcome(
 ) -> Outcome:
     """Truth: id to visibility; said: id to probability; errors: before, after, possible."""
     planted = tuple(Planted(i, 0.1, v, {"torque": 1.0}) for i, v in truth.items())
-    label = Label(1, 0, kind, "rich", 20.0, {"backlash": 0.1}, planted)
+    label = Label(1, 0, "mujoco", kind, "rich", 20.0, {"backlash": 0.1}, planted)
     answer = Answer(verdict, tuple(said.items()), errors[0], errors[1], 10.0)
     return Outcome(label, "salt", seal(label, "salt"), answer, errors[2])
 
@@ -64,15 +66,18 @@ def line(text: str, start: str) -> str:
 def test_the_vocabulary_is_the_tools() -> None:
     from twin.effects.catalogue import CANDIDATES
 
-    assert set(VOCABULARY) <= set(CANDIDATES)
-    assert not set(OUTSIDE) & set(CANDIDATES)
+    for simulator in SIMULATORS.values():
+        assert simulator.VOCABULARY == VOCABULARY
+        assert set(VOCABULARY) <= set(CANDIDATES)
+        assert not set(simulator.OUTSIDE) & set(CANDIDATES)
 
 
+@pytest.mark.parametrize("rigs", SIMULATORS)
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_trial_is_drawn_by_seed_and_number_and_shows_its_effects(kind: str) -> None:
-    label, salt, recording = make(5, 1, (kind,), 4.0)
-    again, same_salt, same = make(5, 1, (kind,), 4.0)
-    other, other_salt, _ = make(5, 2, (kind,), 4.0)
+def test_a_trial_is_drawn_by_seed_and_number_and_shows_its_effects(kind: str, rigs: str) -> None:
+    label, salt, recording = make(5, 1, (kind,), 4.0, rigs)
+    again, same_salt, same = make(5, 1, (kind,), 4.0, rigs)
+    other, other_salt, _ = make(5, 2, (kind,), 4.0, rigs)
     assert (label, salt) == (again, same_salt) and np.array_equal(recording.output, same.output)
     assert seal(label, salt) != seal(other, other_salt)
     assert len(label.effects) == {"single": 1, "pair": 2, "none": 0, "outside": 1}[kind]
@@ -85,22 +90,22 @@ def test_a_trial_is_drawn_by_seed_and_number_and_shows_its_effects(kind: str) ->
 def test_a_pair_in_which_one_brings_the_other_is_not_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(blind_trial, "VOCABULARY", ("coulomb_friction", "stribeck_friction", "gravity"))
     rng = np.random.default_rng(0)
-    drawn = {frozenset(blind_trial._ids(rng, "pair")) for _ in range(50)}
+    drawn = {frozenset(blind_trial._ids(rng, "pair", OUTSIDE)) for _ in range(50)}
     assert drawn == {frozenset({"coulomb_friction", "gravity"}), frozenset({"stribeck_friction", "gravity"})}
 
 
 def test_an_effect_that_cannot_show_is_not_planted(monkeypatch: pytest.MonkeyPatch) -> None:
     label, _, recording = make(5, 1, ("none",), 6.0)
-    rig = blind_trial.Rig(**label.rig)
+    rig = mujoco_rig.Rig(**label.rig)
     sizes = []
 
-    def faint(rig, effects, time, duty, seed):
+    def faint(simulate, rig, effects, time, duty, seed):
         sizes.append(effects[0].parameters["gain"])
         return 0.5
 
     monkeypatch.setattr(blind_trial, "visibility", faint)
     rng = np.random.default_rng(0)
-    assert blind_trial._plant(rng, "gravity", rig, recording.time, recording.input, 1, 6.0) is None
+    assert blind_trial._plant(rng, "gravity", mujoco_rig, rig, recording.time, recording.input, 1, 6.0) is None
     assert len(sizes) == blind_trial.REDRAWS and np.all(np.diff(sizes) > 0.0)
 
 
@@ -258,7 +263,7 @@ def test_the_tool_gets_the_recording_alone_and_the_truth_only_after_a_wrong_answ
     wrong = Answer("nothing_missing", (), 1.0, 0.7, 1.0)
     for answers, possible in (((right,), 0.1), ((wrong, right), 0.1), ((wrong, wrong), math.nan)):
         pool = Witness(*answers)
-        opened = blind_trial._trial(pool, 5, 1, ("single",), 4.0)
+        opened = blind_trial._trial(pool, 5, 1, ("single",), 4.0, "mujoco")
         assert opened.answer is answers[0] and opened.possible == pytest.approx(possible, nan_ok=True)
         (alone,), *after = pool.given
         assert np.array_equal(alone.output, recording.output) and [names for _, names in after] == [(name,)] * (

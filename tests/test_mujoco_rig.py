@@ -13,18 +13,17 @@ import pytest
 pytest.importorskip("mujoco", reason="the recordings' generator needs the extra 'mujoco'")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
+from concealed import Concealed, visibility
 from excitations import EXCITATIONS, Limits
 from make_recording import CANDIDATES, make, write
 from mujoco_rig import (
     OUTSIDE,
     VOCABULARY,
-    Concealed,
     Rig,
     Simulated,
     draw_effect,
     draw_rig,
     simulate,
-    visibility,
 )
 
 RIG = Rig(
@@ -263,14 +262,14 @@ def test_several_effects_at_once() -> None:
         draw_effect(rng, i, RIG, 0.1, 3.0) for i in ("coulomb_friction", "gravity", "joint_elasticity")
     ]
     time, duty = EXCITATIONS["random_steps"](3.0, rng, Limits())
-    assert visibility(RIG, effects, time, duty, seed=1) > 3.0
+    assert visibility(simulate, RIG, effects, time, duty, seed=1) > 3.0
 
 
 def test_visibility_rises_from_nothing_with_size() -> None:
     rng = np.random.default_rng(4)
     time, duty = EXCITATIONS["square"](3.0, rng, Limits())
     seen = [
-        visibility(RIG, [Concealed("coulomb_friction", {"magnitude": size})], time, duty, seed=1)
+        visibility(simulate, RIG, [Concealed("coulomb_friction", {"magnitude": size})], time, duty, seed=1)
         for size in (0.0, 0.2, 2.0)
     ]
     assert seen[0] == 0.0 < seen[1] < seen[2]

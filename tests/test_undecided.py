@@ -14,8 +14,9 @@ import pytest
 pytest.importorskip("mujoco", reason="the recordings' generator needs the extra 'mujoco'")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
+from concealed import Concealed
 from example_diagnosis import RIG, example
-from mujoco_rig import TURN, Concealed, draw_rig, simulate
+from mujoco_rig import TURN, draw_rig, simulate
 
 from twin import compare, extend, finding, identify, phrases, report, search
 from twin.axis import BASE, Structure

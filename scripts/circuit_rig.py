@@ -1,0 +1,442 @@
+"""A second simulator of rigs: the motor as a circuit, three bodies, friction as bristles or as a set-valued law.
+
+It was written from the list of effects alone and shares nothing with the model in `twin/` nor with the rigs in MuJoCo,
+which are alike where both are simple. Here the back-EMF brakes the motor and heat takes current and torque constant;
+dry friction has its own shares at motor and link and may give before it slides; the supply falls with the current that
+the bridge draws from it; the motor stands anywhere in the gap at the start; noise is the motor's and has a colour.
+
+Units: the inertia of motor and link is 1, so torques are in rad/s^2. Duty in percent, angles in rad, time in s. Voltage
+is a share of the supply's, current of what flows when the motor is held at full duty.
+
+Chain: duty -> delay -> saturation -> dead-band -> filter -> supply -> winding -> motor -> teeth with a gap ->
+(elastic coupling ->) link -> encoder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import exp, floor, inf, pi, radians, sin, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from concealed import Concealed
+from numba import njit
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+Array = NDArray[np.float64]
+TURN = 2.0 * pi
+SAMPLE = 0.002
+SUBSTEPS = 100
+SETTLE = 0.5  # s at zero duty before the recording
+WARM_RESISTANCE, WARM_TORQUE = 0.0039, -0.002  # copper and magnets, 1/K
+FAR = 1e6  # rad: where a stop is that is not there
+
+
+class Rig(NamedTuple):
+    """The truth about a rig. What follows the encoder is of effects, and as it stands here none is there."""
+
+    stall_torque: float  # at full duty
+    back_emf: float  # voltage per rad/s
+    motor_viscous: float  # 1/s
+    link_viscous: float
+    motor_inertia: float  # share
+    gap: float
+    teeth_stiffness: float
+    teeth_damping: float
+    dead_band_forward: float
+    dead_band_reverse: float
+    start: float  # link angle
+    start_in_gap: float  # motor angle less that
+    noise: float  # white torque at the motor below its corner, rad/s^2/sqrt(Hz)
+    noise_time: float  # s, of its corner
+    counts_per_revolution: float
+    encoder_phase: float  # of one count
+
+    coulomb: float = 0.0
+    excess: float = 0.0  # of friction at rest over the sliding one
+    excess_speed: float = 1.0
+    one_way: float = 0.0  # share by which friction is larger forwards
+    around: float = 0.0  # share by which it varies over a turn
+    around_phase: float = 0.0
+    per_load: float = 0.0  # friction over the teeth's torque
+    load_at_motor: float = 0.0
+    dry_at_motor: float = 0.0  # share
+    bristle: float = 0.0  # rad by which friction gives before it slides; 0: it does not
+    offset_motor: float = 0.0
+    offset_link: float = 0.0
+    drag: float = 0.0
+    gravity: float = 0.0
+    gravity_phase: float = 0.0
+    spring: float = 0.0
+    spring_rest: float = 0.0
+    ripple_motor: float = 0.0
+    ripple_link: float = 0.0
+    ripple_order: float = 0.0
+    ripple_phase: float = 0.0
+    stop_upper: float = FAR
+    stop_lower: float = -FAR
+    stop_stiffness: float = 0.0
+    stop_damping: float = 0.0
+    gear_inertia: float = 0.0  # of the link's, ahead of an elastic coupling; 0: there is none
+    coupling_stiffness: float = 0.0
+    coupling_damping: float = 0.0
+    filter_time: float = 0.0  # of the voltage
+    winding_time: float = 0.0  # L/R
+    delay: float = 0.0
+    saturation: float = inf
+    source_resistance: float = 0.0  # over the winding's
+    heating: float = 0.0  # K/s at the current 1
+    cooling_time: float = 1.0
+    load_time: float = inf
+    load_factor: float = 1.0  # of the link's inertia from then on
+    eccentricity: float = 0.0
+    eccentricity_phase: float = 0.0
+    shake: float = 0.0
+    shake_frequency: float = 0.0
+    shake_phase: float = 0.0
+    latch: float = 0.0
+    latch_width: float = 1.0
+    latch_angle: float = 0.0
+    hump: float = 0.0
+    hump_speed: float = 0.0
+    hump_width: float = 1.0
+    cubic: float = 0.0
+    cubic_flat: float = 0.0
+    slant: float = 0.0  # 1/s by which viscous friction is larger forwards, smaller in reverse
+
+    @property
+    def viscous_friction(self) -> float:
+        return self.stall_torque * self.back_emf + self.motor_viscous + self.link_viscous
+
+    @property
+    def half_torque(self) -> float:
+        """Torque at 50 % duty, held: the scale of every effect's size."""
+        return self.stall_torque * (0.5 - 0.005 * (self.dead_band_forward + self.dead_band_reverse))
+
+    @property
+    def half_speed(self) -> float:
+        """Steady speed at 50 % duty without further effects, rad/s."""
+        return self.half_torque / self.viscous_friction
+
+    def truths(self) -> dict[str, float]:
+        """What is drawn with the rig, whatever is concealed in it."""
+        return {n: v for n, v in self._asdict().items() if n not in self._field_defaults}
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A recording and what is true behind it, all (n,) at the stamps of `time`."""
+
+    time: Array
+    duty: Array
+    counts: NDArray[np.int64]
+    position: Array
+    velocity: Array
+    motor_position: Array
+    current: Array
+    temperature: Array  # K above the start
+    counts_per_revolution: int
+
+
+def draw_rig(rng: np.random.Generator) -> Rig:
+    """One rig of about the population that the estimator study draws from."""
+
+    def log_uniform(low: float, high: float) -> float:
+        return low * (high / low) ** float(rng.uniform())
+
+    def between(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    viscous = 1.0 / log_uniform(0.15, 2.0)
+    forward, reverse = between(3.0, 9.0), between(3.0, 9.0)
+    stall = viscous * log_uniform(1.0, 15.0) / (0.6 - 0.005 * (forward + reverse))
+    electric, at_link = between(0.35, 0.95), between(0.15, 0.7)
+    share = between(0.1, 0.4)
+    rate, reduced = TURN * log_uniform(60.0, 200.0), share * (1.0 - share)
+    gap = radians(log_uniform(0.5, 5.0))
+    return Rig(
+        stall_torque=stall,
+        back_emf=viscous * electric / stall,
+        motor_viscous=viscous * (1.0 - electric) * (1.0 - at_link),
+        link_viscous=viscous * (1.0 - electric) * at_link,
+        motor_inertia=share,
+        gap=gap,
+        teeth_stiffness=rate**2 * reduced,
+        teeth_damping=2.0 * between(0.1, 0.5) * rate * reduced,
+        dead_band_forward=forward,
+        dead_band_reverse=reverse,
+        start=between(-3.0, 3.0),
+        start_in_gap=gap * between(-0.5, 0.5),
+        noise=log_uniform(3e-4, 5e-3) * stall * 0.45,
+        noise_time=between(0.005, 0.05),
+        counts_per_revolution=float(rng.choice([4096, 8192, 10000, 16384, 20000, 40000])),
+        encoder_phase=between(0.0, 1.0),
+    )
+
+
+# ---- effects ----
+
+Parameters = dict[str, float]
+
+
+def _draws(rng: np.random.Generator, rig: Rig, size: float, duration: float) -> dict[str, Callable[[], Concealed]]:
+    torque, speed = size * rig.half_torque, rig.half_speed
+    reach = min(0.5 * speed, pi)
+
+    def between(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    def either() -> float:
+        return float(rng.choice([-1.0, 1.0]))
+
+    def phase() -> float:
+        return between(-pi, pi)
+
+    def one_of(*names: str) -> str:
+        return str(rng.choice(names))
+
+    def plain(id: str, parameters: Parameters) -> Concealed:
+        return Concealed(id, parameters)
+
+    def dry(id: str, level: float, parameters: Parameters) -> Concealed:
+        """On or in dry friction, whose share at the motor and give are the rig's own."""
+        at_motor = between(0.0, 0.4) * float(rng.random() < 0.5)
+        bristle = 6e-5 * 7.0 ** between(0.0, 1.0) * float(rng.random() < 0.5)
+        carrier = {"coulomb": level, "dry_at_motor": at_motor, "bristle": bristle}
+        if id == "coulomb_friction":
+            return Concealed(id, carrier)
+        return Concealed(id, carrier | parameters, Concealed("coulomb_friction", carrier))
+
+    def shaped(id: str, name: str, share: float, parameters: Parameters) -> Concealed:
+        return dry(id, torque / abs(share), {name: share if size else 0.0, **parameters})
+
+    def stops() -> Concealed:
+        upper, lower = (
+            speed * 0.3 / size * rng.uniform(0.1, 0.3, 2) if size else np.array([FAR, FAR])
+        ).tolist()  # fmt: skip
+        missing, rate = rng.integers(0, 4), TURN * between(15.0, 50.0)
+        return plain("end_stop", {
+            "stop_upper": FAR if missing == 0 else rig.start + upper,
+            "stop_lower": -FAR if missing == 1 else rig.start - lower,
+            "stop_stiffness": rate**2,
+            "stop_damping": 2.0 * between(0.1, 0.4) * rate,
+        })  # fmt: skip
+
+    def coupling() -> Concealed:
+        if not size:
+            return plain("joint_elasticity", {})
+        gear = between(0.03, 0.1) * (1.0 - rig.motor_inertia)
+        ahead, rate = rig.motor_inertia + gear, TURN * min(3.0 * sqrt(0.3 / size), 60.0)
+        reduced = ahead * (1.0 - ahead)
+        return plain("joint_elasticity", {
+            "gear_inertia": gear,
+            "coupling_stiffness": rate**2 * reduced,
+            "coupling_damping": 2.0 * between(0.01, 0.1) * rate * reduced,
+        })  # fmt: skip
+
+    def load_change() -> Concealed:
+        factor = 1.0 + 3.0 * size
+        return plain("load_change", {
+            "load_factor": factor if rng.random() < 0.5 else 1.0 / factor, "load_time": duration * between(0.3, 0.7),
+        })  # fmt: skip
+
+    def gravity() -> Concealed:
+        down = -phase()  # it starts hanging, or would swing
+        return plain("gravity", {"gravity": torque, "gravity_phase": -down, "start": down})
+
+    def fade() -> Concealed:
+        time = duration * between(0.3, 1.0)
+        return plain("thermal_fade", {"heating": 1500.0 * size / time, "cooling_time": time})
+
+    return {
+        "coulomb_friction": lambda: dry("coulomb_friction", torque, {}),
+        "stribeck_friction": lambda: dry("stribeck_friction", between(0.02, 0.06) * rig.half_torque,
+            {"excess": torque, "excess_speed": speed * between(0.02, 0.15)}),
+        "friction_asymmetry": lambda: shaped("friction_asymmetry", "one_way", between(0.2, 0.8) * either(), {}),
+        "position_dependent_friction": lambda: shaped(
+            "position_dependent_friction", "around", between(0.3, 0.95), {"around_phase": phase()}),
+        "load_dependent_friction": lambda: plain(
+            "load_dependent_friction", {"per_load": size, "load_at_motor": float(rng.random() < 0.5)}),
+        "constant_offset": lambda: plain(
+            "constant_offset", {one_of("offset_motor", "offset_link"): torque * either()}),
+        "quadratic_drag": lambda: plain("quadratic_drag", {"drag": torque / speed**2}),
+        "gravity": gravity,
+        "spring": lambda: plain("spring", {"spring": torque / pi, "spring_rest": rig.start + between(-0.5, 0.5)}),
+        "torque_ripple": lambda: plain("torque_ripple", {
+            one_of("ripple_motor", "ripple_link"): torque, "ripple_order": float(rng.integers(4, 41)),
+            "ripple_phase": phase()}),
+        "end_stop": stops,
+        "joint_elasticity": coupling,
+        "motor_lag": lambda: plain("motor_lag", {one_of("filter_time", "winding_time"): 0.2 * size}),
+        "input_delay": lambda: plain("input_delay", {"delay": 0.1 * size}),
+        "drive_saturation": lambda: plain("drive_saturation", {"saturation": 100.0 * (1.0 - 2.0 * size)}),
+        "supply_sag": lambda: plain("supply_sag", {"source_resistance": size}),
+        "thermal_fade": fade,
+        "load_change": load_change,
+        "encoder_eccentricity": lambda: plain(
+            "encoder_eccentricity", {"eccentricity": 0.1 * size, "eccentricity_phase": phase()}),
+        "periodic_disturbance": lambda: plain("periodic_disturbance", {
+            "shake": torque, "shake_frequency": 0.5 * 30.0 ** between(0.0, 1.0), "shake_phase": phase()}),
+        "other_latch": lambda: plain("other_latch", {
+            "latch": torque, "latch_width": between(0.06, 0.2), "latch_angle": rig.start + reach * between(-1.0, 1.0)}),
+        "other_speed_hump": lambda: plain("other_speed_hump", {
+            "hump": torque, "hump_speed": speed * between(0.3, 0.7), "hump_width": speed * between(0.05, 0.12)}),
+        "other_cubic_spring": lambda: plain("other_cubic_spring", {
+            "cubic": torque / max(speed, 1.0) ** 3, "cubic_flat": speed * between(0.1, 0.4)}),
+        "other_slant": lambda: plain("other_slant", {"slant": size * rig.viscous_friction * either()}),
+    }  # fmt: skip
+
+
+OUTSIDE = ("other_cubic_spring", "other_latch", "other_slant", "other_speed_hump")
+VOCABULARY = tuple(
+    sorted(set(_draws(np.random.default_rng(0), draw_rig(np.random.default_rng(0)), 0.0, 1.0)) - set(OUTSIDE))
+)
+
+
+def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, duration: float = 60.0) -> Concealed:
+    """An effect of the given size, the rest of its parameters at random; size 0 is no effect at all.
+
+    `size` is the effect's torque over the drive's at 50 % duty. Where there is no torque to speak of, 0.3 is as large
+    as such an effect gets: lag 60 ms, delay 30 ms, coupling 3 Hz, clipping at 40 %, eccentricity 30 mrad, the load
+    almost doubled or halved, 450 K at stall (and so 20 to 100 in use), a source with 0.3 of the winding's resistance.
+    """
+    draws = _draws(rng, rig, size, duration)
+    if id not in draws:
+        raise ValueError(f"no effect {id!r}; there are {', '.join(VOCABULARY + OUTSIDE)}")
+    return draws[id]()
+
+
+# ---- the simulation ----
+
+
+@njit(cache=True)
+def _slowed(level, speed, bend, mass, rig, step):  # type: ignore[no-untyped-def]
+    """Speed after one step of a body's dry friction, which it would have had as `speed`, and the bristle's new bend.
+
+    Set-valued: friction stops the body and no more. As bristles (LuGre): `bend` is a share of the give, and the speed
+    is the one that bends them, from a quadratic, or a body at rest on a slope would creep.
+    """
+    if level <= 0.0:
+        return speed, bend
+    if rig.bristle <= 0.0:
+        most = step * level * (1.0 + rig.one_way if speed > 0.0 else 1.0 - rig.one_way) / mass
+        return speed - min(max(speed, -most), most), bend
+    level *= 1.0 + rig.one_way if bend > 0.0 else 1.0 - rig.one_way
+    rate, damping = step / rig.bristle, 1.2 * sqrt(level * rig.bristle * mass)
+    push = speed - step * level * bend / mass
+    side = 1.0 if push > 0.0 else -1.0
+    linear = 1.0 + rate * ((step * level + damping * (1.0 - side * bend)) / mass - side * speed)
+    after = side * 2.0 * abs(push) / (linear + sqrt(linear**2 + 4.0 * rate * abs(push)))
+    return after, (bend + rate * after) / (1.0 + rate * abs(after))
+
+
+@njit(cache=True)
+def _play(rig, duty, shaking, substeps):  # type: ignore[no-untyped-def]
+    """Symplectic Euler; `duty` (n,) held, `shaking` (n + 1,) straight lines between, both per SAMPLE. Rows (n, 5)."""
+    step = SAMPLE / substeps
+    out = np.empty((len(duty), 5))
+    half = 0.5 * rig.gap
+    elastic = rig.gear_inertia > 0.0
+    link_inertia = 1.0 - rig.motor_inertia - rig.gear_inertia
+    link = gear = rig.start
+    motor = rig.start + rig.start_in_gap
+    w_link = w_gear = w_motor = bend_link = bend_motor = 0.0
+    filtered = current = heat = 0.0
+    pass_voltage = 1.0 - exp(-step / rig.filter_time) if rig.filter_time > 0.0 else 1.0
+    pass_current = 1.0 - exp(-step / rig.winding_time) if rig.winding_time > 0.0 else 1.0
+    for k in range(len(duty)):
+        out[k] = link, w_link, motor, current, heat
+        for j in range(substeps):
+            now = k * SAMPLE + j * step
+            if now >= rig.load_time:
+                link_inertia = (1.0 - rig.motor_inertia - rig.gear_inertia) * rig.load_factor
+            # Drive and winding.
+            late = floor((now - rig.delay) / SAMPLE + 1e-9)
+            u = min(max(duty[late] if late >= 0 else 0.0, -rig.saturation), rig.saturation)
+            acts = max(u - rig.dead_band_forward, 0.0) + min(u + rig.dead_band_reverse, 0.0)
+            filtered += pass_voltage * (0.01 * acts - filtered)
+            emf = rig.back_emf * (1.0 + WARM_TORQUE * heat) * w_motor
+            resistance = 1.0 + WARM_RESISTANCE * heat
+            # The bridge draws filtered * current from a source that falls with it and takes nothing back.
+            rail = (1.0 + rig.source_resistance * filtered * emf) / (1.0 + rig.source_resistance * filtered**2)
+            current += pass_current * ((filtered * min(rail, 1.0) - emf) / resistance - current)
+            heat += step * (rig.heating * current**2 - heat / rig.cooling_time)
+            # Torques on motor and link without teeth and dry friction.
+            mixed = shaking[k] + (shaking[k + 1] - shaking[k]) * j / substeps
+            on_motor = rig.stall_torque * (1.0 + WARM_TORQUE * heat) * current + mixed - rig.motor_viscous * w_motor
+            on_motor += rig.offset_motor + rig.ripple_motor * sin(rig.ripple_order * motor + rig.ripple_phase)
+            on_link = rig.offset_link + rig.ripple_link * sin(rig.ripple_order * link + rig.ripple_phase)
+            on_link -= rig.link_viscous * w_link + rig.slant * abs(w_link)
+            on_link -= rig.drag * w_link * abs(w_link) + rig.gravity * sin(link + rig.gravity_phase)
+            on_link -= rig.spring * (link - rig.spring_rest)
+            on_link += rig.shake * sin(TURN * rig.shake_frequency * now + rig.shake_phase)
+            off = ((link - rig.latch_angle + pi) % TURN - pi) / rig.latch_width
+            on_link -= rig.latch * off * exp(0.5 - 0.5 * off**2)
+            hump = rig.hump * exp(-(((abs(w_link) - rig.hump_speed) / rig.hump_width) ** 2))
+            on_link -= hump if w_link > 0.0 else -hump
+            on_link -= rig.cubic * (max(link - rig.start - rig.cubic_flat, 0.0)
+                                    + min(link - rig.start + rig.cubic_flat, 0.0)) ** 3  # fmt: skip
+            if link > rig.stop_upper:
+                on_link -= max(rig.stop_stiffness * (link - rig.stop_upper) + rig.stop_damping * w_link, 0.0)
+            if link < rig.stop_lower:
+                on_link -= min(rig.stop_stiffness * (link - rig.stop_lower) + rig.stop_damping * w_link, 0.0)
+            # Teeth push and do not pull.
+            twist, rate = (motor - gear, w_motor - w_gear) if elastic else (motor - link, w_motor - w_link)
+            teeth = 0.0
+            if twist > half:
+                teeth = max(rig.teeth_stiffness * (twist - half) + rig.teeth_damping * rate, 0.0)
+            elif twist < -half:
+                teeth = min(rig.teeth_stiffness * (twist + half) + rig.teeth_damping * rate, 0.0)
+            passed = teeth
+            if elastic:
+                passed = rig.coupling_stiffness * (gear - link) + rig.coupling_damping * (w_gear - w_link)
+                w_gear += step * (teeth - passed) / rig.gear_inertia
+            # Speeds.
+            dry = (rig.coulomb + rig.excess * exp(-((w_link / rig.excess_speed) ** 2))) * (
+                1.0 + rig.around * sin(link + rig.around_phase)
+            )
+            per_load = rig.per_load * abs(teeth)
+            at_link = (1.0 - rig.dry_at_motor) * dry + (1.0 - rig.load_at_motor) * per_load
+            at_motor = rig.dry_at_motor * dry + rig.load_at_motor * per_load
+            w_link += step * (on_link + passed) / link_inertia
+            w_motor += step * (on_motor - teeth) / rig.motor_inertia
+            w_link, bend_link = _slowed(at_link, w_link, bend_link, link_inertia, rig, step)
+            w_motor, bend_motor = _slowed(at_motor, w_motor, bend_motor, rig.motor_inertia, rig, step)
+            link += step * w_link
+            motor += step * w_motor
+            gear += step * w_gear
+    return out
+
+
+def simulate(
+    rig: Rig, effects: Sequence[Concealed], time: Array, duty: Array, seed: int, noise: bool = True,
+    settle: float = SETTLE, substeps: int = SUBSTEPS,
+) -> Simulated:  # fmt: skip
+    """Play `duty` (n,) in percent, held from stamp to stamp of `time` (n,), whole multiples of SAMPLE from its first.
+
+    Before the first stamp the rig has stood for `settle` seconds at zero duty.
+    Raises ValueError for an effect that is not known or there twice.
+    """
+    ids = [e.id for e in effects]
+    for i in ids:
+        if i not in VOCABULARY + OUTSIDE:
+            raise ValueError(f"no effect {i!r}; there are {', '.join(VOCABULARY + OUTSIDE)}")
+    if len(set(ids)) < len(ids):
+        raise ValueError("the same effect is there twice")
+    for e in effects:
+        # Two parts of dry friction each bring some; the share that each is of it is then of the whole.
+        rig = rig._replace(**{**e.parameters, "coulomb": rig.coulomb + e.parameters.get("coulomb", 0.0)})
+    before = round(settle / SAMPLE)
+    # Its clock begins with the recording.
+    phase = rig.shake_phase - TURN * rig.shake_frequency * settle
+    rig = rig._replace(load_time=rig.load_time + settle, shake_phase=phase)
+    command = np.concatenate([np.zeros(before), duty])
+    white = np.random.default_rng(seed).standard_normal(len(command) + 1) * rig.noise / sqrt(SAMPLE) * float(noise)
+    keep = exp(-SAMPLE / rig.noise_time)
+    track = _play(rig, command, lfilter([1.0 - keep], [1.0, -keep], white), substeps)[before:]
+    seen = track[:, 0] + rig.eccentricity * np.sin(track[:, 0] + rig.eccentricity_phase)
+    per_turn = int(rig.counts_per_revolution)
+    counts = np.floor(seen * per_turn / TURN + rig.encoder_phase).astype(np.int64)
+    return Simulated(np.asarray(time, float), np.asarray(duty, float), counts, *track.T, per_turn)
