@@ -167,9 +167,9 @@ def _transmission(model: Model, x: str) -> tuple[list[str], list[str]]:
     else:
         frequency, damping = "contact_frequency", "contact_damping"
         declared += [
-            "    // Contact is rigid in the identified model; here it is a stiff spring without rebound.",
+            "    // Contact is rigid in the identified model; here it is a stiff spring that is damped too hard to rebound.",
             _declare("parameter Real", frequency, "Hz", "ring of the contact", repr(CONTACT_FREQUENCY)),
-            _declare("parameter Real", damping, "1", "its damping ratio", "1.0"),
+            _declare("parameter Real", damping, "1", "its damping ratio", "3.0"),
         ]
     share = "motor_share*(1 - motor_share)"
     declared += [
@@ -234,7 +234,21 @@ def write(model: Model) -> str:
     drag_link = _sum(model, "drag", link)
     # Where nothing tells motor and link apart each is half of the axis.
     resist = f"0.5*({drag_link})"
-    transmitted = "contact" if two else f"(((torque + {resist})*(mass - 0.5) - 0.5*(load + {resist}))/mass)"
+    transmitted = f"(((torque + {resist})*(mass - 0.5) - 0.5*(load + {resist}))/mass)"
+    drag_motor = _sum(model, "drag", {"position": "position", "velocity": "motor_velocity"})
+    if two and structure.elastic:
+        transmitted = "contact"
+    elif two:
+        # Rigid teeth knock without friction: what holds them together counts, not the blow of the spring in their place.
+        declared.append(_declare("Real", "bearing", f"{x}/s^2", "torque that makes motor and link move as one"))
+        equations.append(
+            f"bearing = ((torque + friction_share*({drag_motor}))*(mass - motor_share)"
+            f" - (load + (1 - friction_share)*({drag_link}))*motor_share)/mass;"
+        )
+        transmitted = (
+            "(if backlash_gap <= 0 then bearing elseif gap > 0.5*backlash_gap then max(bearing, 0)"
+            " elseif gap < -0.5*backlash_gap then min(bearing, 0) else 0)"
+        )
     if slots["grip"]:
         declared += [
             "    // Dry friction holds exactly in the identified model; here the body gives by `presliding` at most.",
@@ -254,7 +268,6 @@ def write(model: Model) -> str:
             equations += held
     gripped = {body: f" - friction_{body}" if slots["grip"] else "" for body in ("motor", "link")}
     if two:
-        drag_motor = _sum(model, "drag", {"position": "position", "velocity": "motor_velocity"})
         more, joined = _transmission(model, x)
         declared += more
         equations += joined
