@@ -1,7 +1,7 @@
 """Does the tool name what it is not told? Effects concealed in simulated rigs, labels sealed until it has answered.
 
     python scripts/blind_trial.py --trials 20 --seed 1 --json trials.jsonl
-    python scripts/blind_trial.py --rigs circuit --trials 20 --seed 1
+    python scripts/blind_trial.py --simulator circuit --trials 20 --seed 1
     python scripts/blind_trial.py --summarise trials.jsonl
 
 One trial: rig, excitation, effects and their sizes are drawn; SHA-256 of label and salt is printed; the tool gets
@@ -32,10 +32,9 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-import circuit_rig
-import mujoco_rig
 from concealed import Concealed, visibility
 from excitations import EXCITATIONS, FREE
+from simulators import SIMULATORS
 
 from twin import extend
 from twin.axis import Structure
@@ -53,8 +52,7 @@ REDRAWS = 8
 VISIBILITIES = (FLOOR, 2.0, VISIBLE, 5.0, 10.0, 30.0, math.inf)
 NOTHING, UNKNOWN, FAILED = "nothing", "unknown", "failed"
 START = Structure.of(BASE)
-SIMULATORS: dict[str, Any] = {"mujoco": mujoco_rig, "circuit": circuit_rig}
-VOCABULARY = mujoco_rig.VOCABULARY  # of each
+VOCABULARY = SIMULATORS["mujoco"].VOCABULARY  # of each
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ class Label:
 
     seed: int
     trial: int
-    rigs: str
+    simulator: str
     kind: str
     excitation: str
     duration: float
@@ -165,15 +163,15 @@ def _ids(rng: np.random.Generator, kind: str, outside: Sequence[str]) -> tuple[s
 
 
 def _plant(
-    rng: np.random.Generator, effect: str, simulator: Any, rig: Any, stamps: Array, duty: Array, noise_seed: int,
+    rng: np.random.Generator, effect: str, source: Any, rig: Any, stamps: Array, duty: Array, noise_seed: int,
     duration: float,
 ) -> Planted | None:  # fmt: skip
     """The effect at a size drawn log-uniformly from its noise floor up; None where it cannot show at all."""
     least = SMALLEST
     for _ in range(REDRAWS):
         size = least * (LARGEST / least) ** float(rng.uniform())
-        drawn = simulator.draw_effect(rng, effect, rig, size, duration)
-        seen = visibility(simulator.simulate, rig, [drawn], stamps, duty, noise_seed)
+        drawn = source.draw_effect(rng, effect, rig, size, duration)
+        seen = visibility(source.simulate, rig, [drawn], stamps, duty, noise_seed)
         if seen >= FLOOR:
             return Planted(effect, size, seen, drawn.parameters)
         least = size  # visibility grows with size: what is below need not be tried again
@@ -181,29 +179,29 @@ def _plant(
 
 
 def make(
-    seed: int, trial: int, kinds: Sequence[str], duration: float, rigs: str = "mujoco"
+    seed: int, trial: int, kinds: Sequence[str], duration: float, simulator: str = "mujoco"
 ) -> tuple[Label, str, Recording]:
     """A trial's label, its salt and the recording, all by simulator, seed and number."""
-    simulator = SIMULATORS[rigs]
+    source = SIMULATORS[simulator]
     rng = np.random.default_rng([seed, trial])
     salt = rng.bytes(16).hex()
     shares = np.array([KINDS[k] for k in kinds])
     kind = str(rng.choice(kinds, p=shares / shares.sum()))
     while True:
-        rig, excitation = simulator.draw_rig(rng), str(rng.choice(list(EXCITATIONS)))
-        ids = _ids(rng, kind, simulator.OUTSIDE)
+        rig, excitation = source.draw_rig(rng), str(rng.choice(list(EXCITATIONS)))
+        ids = _ids(rng, kind, source.OUTSIDE)
         stamps, duty = EXCITATIONS[excitation](duration, rng, FREE)
         noise_seed = int(rng.integers(2**31))
         planted = []
         for effect in ids:
-            found = _plant(rng, effect, simulator, rig, stamps, duty, noise_seed, duration)
+            found = _plant(rng, effect, source, rig, stamps, duty, noise_seed, duration)
             if found is None:
                 break
             planted.append(found)
         else:
             break
-    label = Label(seed, trial, rigs, kind, excitation, duration, rig.truths(), tuple(planted))
-    run = simulator.simulate(rig, [Concealed(p.id, p.parameters) for p in planted], stamps, duty, noise_seed)
+    label = Label(seed, trial, simulator, kind, excitation, duration, rig.truths(), tuple(planted))
+    run = source.simulate(rig, [Concealed(p.id, p.parameters) for p in planted], stamps, duty, noise_seed)
     count = 2.0 * math.pi / run.counts_per_revolution
     return label, salt, Recording(f"trial {trial}", run.time, run.duty, run.counts * count, "%", "rad", count)
 
@@ -228,8 +226,8 @@ def ask(recording: Recording, candidates: Sequence[str] = CANDIDATES) -> Answer:
 # ---- running them ----
 
 
-def _trial(pool: Executor, seed: int, trial: int, kinds: Sequence[str], duration: float, rigs: str) -> Outcome:
-    label, salt, recording = make(seed, trial, kinds, duration, rigs)
+def _trial(pool: Executor, seed: int, trial: int, kinds: Sequence[str], duration: float, simulator: str) -> Outcome:
+    label, salt, recording = make(seed, trial, kinds, duration, simulator)
     sealed = seal(label, salt)
     print(f"trial {trial}: sealed {sealed}", flush=True)
     answer = pool.submit(ask, recording).result()
@@ -260,7 +258,7 @@ def run(
     seed: int,
     kinds: Sequence[str],
     duration: float,
-    rigs: str,
+    simulator: str,
     processes: int,
     done: Callable[[Outcome], None],
 ) -> list[Outcome]:
@@ -274,7 +272,7 @@ def run(
         ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool,
         ThreadPoolExecutor(processes) as threads,
     ):
-        waiting = [threads.submit(_trial, pool, seed, n, kinds, duration, rigs) for n in trials]
+        waiting = [threads.submit(_trial, pool, seed, n, kinds, duration, simulator) for n in trials]
         try:
             for future in as_completed(waiting):
                 outcomes.append(future.result())
@@ -433,7 +431,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--first", type=int, default=0, help="number of the first trial, to go on where one stopped")
     parser.add_argument("--seed", type=int, default=1, help="draws everything")
-    parser.add_argument("--rigs", choices=SIMULATORS, default="mujoco", help="the simulator that they are made with")
+    parser.add_argument("--simulator", choices=SIMULATORS, default="mujoco", help="what makes the recordings")
     parser.add_argument("--duration", type=float, default=30.0, help="of a recording, s")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--kinds", type=_kinds, default=tuple(KINDS), help=f"some of {','.join(KINDS)}")
@@ -450,7 +448,7 @@ def main(arguments: list[str] | None = None) -> None:
         return
     numbers = range(given.first, given.first + given.trials)
     save = (lambda outcome: write(given.json, outcome)) if given.json else (lambda outcome: None)
-    outcomes = run(numbers, given.seed, given.kinds, given.duration, given.rigs, given.processes, save)
+    outcomes = run(numbers, given.seed, given.kinds, given.duration, given.simulator, given.processes, save)
     print("\n" + summary(outcomes))
 
 

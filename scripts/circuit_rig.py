@@ -124,6 +124,22 @@ class Rig(NamedTuple):
         """What is drawn with the rig, whatever is concealed in it."""
         return {n: v for n, v in self._asdict().items() if n not in self._field_defaults}
 
+    def model_values(self) -> dict[str, float]:
+        """The rig's numbers under the model's names."""
+        reduced = self.motor_inertia * (1.0 - self.motor_inertia)
+        rate = sqrt(self.teeth_stiffness / reduced)
+        return {
+            "input_gain": 0.01 * self.stall_torque,
+            "viscous_friction": self.viscous_friction,
+            "dead_band_forward": self.dead_band_forward,
+            "dead_band_reverse": self.dead_band_reverse,
+            "backlash_gap": self.gap,
+            "motor_share": self.motor_inertia,
+            "friction_share": 1.0 - self.link_viscous / self.viscous_friction,
+            "tooth_frequency": rate / TURN,
+            "tooth_damping": self.teeth_damping / (2.0 * rate * reduced),
+        }
+
 
 @dataclass(frozen=True)
 class Simulated:

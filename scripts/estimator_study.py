@@ -1,6 +1,7 @@
-"""How exact are the estimates? The paper's method and the joint fit on random rigs in MuJoCo, whose truth is known.
+"""How exact are the estimates? The paper's method and the joint fit on simulated rigs, whose truth is known.
 
     python scripts/estimator_study.py --rigs 100
+    python scripts/estimator_study.py --rigs 100 --simulator circuit
 
 prints for every parameter the median and the 95th percentile of the error, that error over the Cramer-Rao bound (1
 for a perfect estimator), and how often the 95 % interval holds the truth. Relative errors in percent, those of the
@@ -21,6 +22,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -28,7 +30,7 @@ from tqdm import tqdm
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from excitations import EXCITATIONS, FREE
-from mujoco_rig import TURN, Rig, draw_rig, simulate
+from simulators import SIMULATORS
 
 from twin import identify, likelihood
 from twin.ready import base_structure, free_parameters
@@ -37,9 +39,9 @@ from twin.two_stage import two_stage
 
 METHODS = ("paper, speeds", "paper, positions", "joint")
 DUTIES = ("dead_band_forward", "dead_band_reverse")  # errors in duty, not relative
-#: The engine's own step, s. At the usual one, where teeth bounce for long, positions are wrong by a count and more
+#: MuJoCo's own step, s. At the usual one, where teeth bounce for long, positions are wrong by a count and more
 #: within seconds, which an estimator of this kind sees; at this one by a quarter of that.
-STEP = 5e-5
+FINER: dict[str, dict[str, float]] = {"mujoco": {"step": 5e-5}, "circuit": {}}
 Estimate = tuple[float, float, float, float]  # value, standard error, ends of the interval (NaN: by the error)
 NORMAL_MEDIAN = 0.6745  # of the absolute value of a standard normal
 
@@ -74,25 +76,10 @@ class Outcome:
         return error if self.parameter in DUTIES else 100.0 * error / self.truth
 
 
-def truths(rig: Rig) -> dict[str, float]:
-    """The rig's numbers under the model's names."""
-    return {
-        "input_gain": rig.input_gain,
-        "viscous_friction": rig.viscous_friction,
-        "dead_band_forward": rig.dead_band_forward,
-        "dead_band_reverse": rig.dead_band_backward,
-        "backlash_gap": rig.backlash,
-        "motor_share": rig.motor_share,
-        "friction_share": rig.motor_friction_share,
-        "tooth_frequency": rig.teeth_frequency,
-        "tooth_damping": rig.teeth_damping,
-    }
-
-
-def record(rig: Rig, excitation: str, duration: float, rng: np.random.Generator) -> Recording:
+def record(simulator: str, rig: Any, excitation: str, duration: float, rng: np.random.Generator) -> Recording:
     stamps, duty = EXCITATIONS[excitation](duration, rng, FREE)
-    run = simulate(rig, [], stamps, duty, int(rng.integers(2**31)), step=STEP)
-    count = TURN / run.counts_per_revolution
+    run = SIMULATORS[simulator].simulate(rig, [], stamps, duty, int(rng.integers(2**31)), **FINER[simulator])
+    count = 2.0 * math.pi / run.counts_per_revolution
     return Recording(f"{excitation} of a random rig", run.time, run.duty, run.counts * count, "%", "rad", count)
 
 
@@ -116,10 +103,10 @@ def jointly(recording: Recording) -> dict[str, Estimate]:
     return {n: (found.values[n], found.std(n), *found.intervals.get(n, (math.nan, math.nan))) for n in found.fitted}
 
 
-def study_rig(index: int, seed: int, duration: float, excitations: tuple[str, ...]) -> list[Outcome]:
+def study_rig(index: int, seed: int, duration: float, excitations: tuple[str, ...], simulator: str) -> list[Outcome]:
     """All methods on one rig; the rig is the same for every excitation."""
-    rig = draw_rig(np.random.default_rng([seed, index]))
-    truth = truths(rig)
+    rig = SIMULATORS[simulator].draw_rig(np.random.default_rng([seed, index]))
+    truth = rig.model_values()
     estimators: dict[str, Callable[[Recording], dict[str, Estimate]]] = {
         METHODS[0]: partial(by_paper, form="speeds"),
         METHODS[1]: partial(by_paper, form="positions"),
@@ -127,7 +114,7 @@ def study_rig(index: int, seed: int, duration: float, excitations: tuple[str, ..
     }
     outcomes = []
     for number, excitation in enumerate(excitations):
-        recording = record(rig, excitation, duration, np.random.default_rng([seed, index, number]))
+        recording = record(simulator, rig, excitation, duration, np.random.default_rng([seed, index, number]))
         bound = bounds(recording, truth)
         for method, estimate in estimators.items():
             begun = time.process_time()
@@ -141,9 +128,11 @@ def study_rig(index: int, seed: int, duration: float, excitations: tuple[str, ..
     return outcomes
 
 
-def study(rigs: int, seed: int, duration: float, excitations: tuple[str, ...], processes: int = 2) -> list[Outcome]:
+def study(
+    rigs: int, seed: int, duration: float, excitations: tuple[str, ...], simulator: str, processes: int
+) -> list[Outcome]:
     """The study on the first `rigs` rigs of a seed."""
-    run = partial(study_rig, seed=seed, duration=duration, excitations=excitations)
+    run = partial(study_rig, seed=seed, duration=duration, excitations=excitations, simulator=simulator)
     if processes == 1:
         return [o for i in range(rigs) for o in run(i)]
     # Fresh processes, so that the linear algebra in them starts with one thread each.
@@ -194,11 +183,12 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument(
         "--excitation", action="append", choices=list(EXCITATIONS), help="default: paper and rich; may be repeated"
     )
+    parser.add_argument("--simulator", choices=SIMULATORS, default="mujoco", help="what makes the recordings")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path, help="JSON file for every single estimate")
     given = parser.parse_args(arguments)
     excitations = tuple(given.excitation or ("paper", "rich"))
-    outcomes = study(given.rigs, given.seed, given.duration, excitations, given.processes)
+    outcomes = study(given.rigs, given.seed, given.duration, excitations, given.simulator, given.processes)
     if given.out:
         given.out.write_text(json.dumps([asdict(o) for o in outcomes], indent=1) + "\n", encoding="utf-8")
     print(table(outcomes))

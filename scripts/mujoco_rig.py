@@ -66,6 +66,20 @@ class Rig:
     def truths(self) -> dict[str, float]:
         return asdict(self)
 
+    def model_values(self) -> dict[str, float]:
+        """The rig's numbers under the model's names."""
+        return {
+            "input_gain": self.input_gain,
+            "viscous_friction": self.viscous_friction,
+            "dead_band_forward": self.dead_band_forward,
+            "dead_band_reverse": self.dead_band_backward,
+            "backlash_gap": self.backlash,
+            "motor_share": self.motor_share,
+            "friction_share": self.motor_friction_share,
+            "tooth_frequency": self.teeth_frequency,
+            "tooth_damping": self.teeth_damping,
+        }
+
 
 def draw_rig(rng: np.random.Generator) -> Rig:
     """One rig from the population of the estimator study."""

@@ -23,7 +23,6 @@ from blind_trial import (
     FLOOR,
     KINDS,
     NOTHING,
-    SIMULATORS,
     UNKNOWN,
     Answer,
     Label,
@@ -42,6 +41,7 @@ from blind_trial import (
     write,
 )
 from mujoco_rig import OUTSIDE, VOCABULARY
+from simulators import SIMULATORS
 
 
 def outcome(
@@ -72,12 +72,12 @@ def test_the_vocabulary_is_the_tools() -> None:
         assert not set(simulator.OUTSIDE) & set(CANDIDATES)
 
 
-@pytest.mark.parametrize("rigs", SIMULATORS)
+@pytest.mark.parametrize("simulator", SIMULATORS)
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_trial_is_drawn_by_seed_and_number_and_shows_its_effects(kind: str, rigs: str) -> None:
-    label, salt, recording = make(5, 1, (kind,), 4.0, rigs)
-    again, same_salt, same = make(5, 1, (kind,), 4.0, rigs)
-    other, other_salt, _ = make(5, 2, (kind,), 4.0, rigs)
+def test_a_trial_is_drawn_by_seed_and_number_and_shows_its_effects(kind: str, simulator: str) -> None:
+    label, salt, recording = make(5, 1, (kind,), 4.0, simulator)
+    again, same_salt, same = make(5, 1, (kind,), 4.0, simulator)
+    other, other_salt, _ = make(5, 2, (kind,), 4.0, simulator)
     assert (label, salt) == (again, same_salt) and np.array_equal(recording.output, same.output)
     assert seal(label, salt) != seal(other, other_salt)
     assert len(label.effects) == {"single": 1, "pair": 2, "none": 0, "outside": 1}[kind]

@@ -14,8 +14,8 @@ pytest.importorskip("mujoco", reason="the recordings' generator needs the extra 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
 import estimator_study
-from estimator_study import METHODS, Outcome, cell, main, truths
-from mujoco_rig import draw_rig
+from estimator_study import METHODS, Outcome, cell, main
+from simulators import SIMULATORS
 
 from twin.ready import base_structure, free_parameters
 
@@ -42,8 +42,10 @@ def test_dead_band_errors_are_in_duty_and_missing_estimates_are_left_out() -> No
     assert set(cell(found[1:]).split()) == {"-"}
 
 
-def test_every_estimated_parameter_has_a_truth() -> None:
-    assert set(truths(draw_rig(np.random.default_rng(0)))) == set(free_parameters(base_structure()))
+@pytest.mark.parametrize("simulator", SIMULATORS)
+def test_every_estimated_parameter_has_a_truth(simulator: str) -> None:
+    rig = SIMULATORS[simulator].draw_rig(np.random.default_rng(0))
+    assert set(rig.model_values()) == set(free_parameters(base_structure()))
 
 
 def test_two_rigs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -51,7 +53,7 @@ def test_two_rigs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["--rigs", "2", "--duration", "12", "--excitation", "paper", "--processes", "1", "--out", str(out)])
     printed = capsys.readouterr().out
     outcomes = [Outcome(**entry) for entry in json.loads(out.read_text(encoding="utf-8"))]
-    assert len(outcomes) == 2 * len(METHODS) * len(truths(draw_rig(np.random.default_rng(0))))
+    assert len(outcomes) == 2 * len(METHODS) * len(free_parameters(base_structure()))
     assert all(method in printed for method in METHODS) and "backlash_gap" in printed
     for o in outcomes:
         assert 0.0 < o.bound < math.inf

@@ -167,9 +167,9 @@ def _transmission(model: Model, x: str) -> tuple[list[str], list[str]]:
     else:
         frequency, damping = "contact_frequency", "contact_damping"
         declared += [
-            "    // Contact is rigid in the identified model; here it is a stiff spring that is damped too hard to rebound.",
+            "    // Contact is rigid in the identified model; here it is a stiff spring without rebound.",
             _declare("parameter Real", frequency, "Hz", "ring of the contact", repr(CONTACT_FREQUENCY)),
-            _declare("parameter Real", damping, "1", "its damping ratio", "3.0"),
+            _declare("parameter Real", damping, "1", "damping ratio, too high to rebound", "3.0"),
         ]
     share = "motor_share*(1 - motor_share)"
     declared += [
@@ -239,7 +239,7 @@ def write(model: Model) -> str:
     if two and structure.elastic:
         transmitted = "contact"
     elif two:
-        # Rigid teeth knock without friction: what holds them together counts, not the blow of the spring in their place.
+        # Rigid teeth knock without friction: what holds them together counts, not the blow of the spring instead.
         declared.append(_declare("Real", "bearing", f"{x}/s^2", "torque that makes motor and link move as one"))
         equations.append(
             f"bearing = ((torque + friction_share*({drag_motor}))*(mass - motor_share)"
