@@ -80,6 +80,13 @@ def test_page_says_what_was_wrong():
     assert "Travel over more than half a turn." in said
 
 
+def test_a_sign_is_explained_where_it_stands():
+    """A load that changes is a condition in the equations; gravity is not."""
+    changing = replace(example(), after=model_of("load_change"))
+    assert "square bracket" in Page(report.html(story(diagnosis=changing))).text
+    assert "square bracket" not in Page(report.html(story())).text
+
+
 def test_text_from_files_is_escaped():
     text = report.html(story())
     for raw in ("<jumps>", "<position>", "<disagree>"):

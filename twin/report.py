@@ -186,10 +186,12 @@ def _found(story: Story) -> str:
     for e in equations:
         parts.append(_equation(e, "" if e.says == above else e.says, new))
         above = e.says
+    bracket = "A square bracket is one where its condition holds, else zero. "
     parts.append(
         _said(
-            "Torques stand over the inertia of the axis, so every term is an acceleration. A square bracket is one "
-            "where its condition holds, else zero. The equations are written by the program from the laws that it ran.",
+            "Torques stand over the inertia of the axis, so every term is an acceleration. "
+            f"{bracket if any(latex.BRACKET in e.text for e in equations) else ''}"
+            "The equations are written by the program from the laws that it ran.",
             "note",
         )
     )

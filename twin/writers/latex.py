@@ -18,6 +18,9 @@ from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.equations import argument, trace
 
+#: How a condition that stands for 1 or 0 begins.
+BRACKET = r"\left["
+
 #: Symbols of parameters; `@` stands for the axis' coordinate. A parameter without one is written by its name.
 SYMBOLS: dict[str, str] = {
     "input_gain": "c",
@@ -162,7 +165,7 @@ class _Printer(LatexPrinter):  # type: ignore[misc]
 
     def _print_Piecewise(self, expr: sympy.Expr) -> str:
         if _bracket(expr):
-            return rf"\left[{self._print(expr.args[0].cond)}\right]"
+            return rf"{BRACKET}{self._print(expr.args[0].cond)}\right]"
         said = []
         for value, condition in _flat(expr):
             when = r"\mathrm{otherwise}" if condition == sympy.true else rf"\mathrm{{if}}\ {self._print(condition)}"
