@@ -18,7 +18,7 @@ from concealed import Concealed
 from example_diagnosis import RIG, example
 from mujoco_rig import TURN, draw_rig, simulate
 
-from twin import compare, extend, finding, identify, phrases, report, search
+from twin import compare, extend, finding, identify, kernel, likelihood, phrases, report, search
 from twin.axis import BASE, Structure
 from twin.explain import Hypothesis, Round
 from twin.finding import Diagnosis, Fitness
@@ -157,3 +157,23 @@ def test_what_is_followed_but_not_judged_is_said(monkeypatch):
     cases = [SimpleNamespace(recording=SimpleNamespace(name=n), rattling=h) for n, h in hidden.items()]
     (said,) = extend._remarks(replace(searched(500.0), cases=tuple(cases)), fit, [])
     assert said.startswith("loud: in 25 % of what was fitted")
+
+
+def test_an_axis_that_is_always_pushed_is_said_to_hide_a_constant_torque():
+    """An offset and dead-bands that differ give the same readings until the axis coasts."""
+    loads = Structure.of([*BASE, "constant_offset"]).without("backlash")
+    shifted = {
+        "input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 4.0, "dead_band_reverse": 7.0, "offset": 0.0,
+    }  # fmt: skip
+    values = shifted | {"dead_band_forward": 6.0, "dead_band_reverse": 5.0, "offset": 0.8}
+    time = 0.002 * np.arange(4000)
+    pushing = np.where(np.sin(4.0 * time) >= 0.0, 30.0, -25.0)
+    for command, told in ((pushing, False), (np.where(time > 6.0, 0.0, pushing), True)):
+        case = likelihood.prepare(Recording("axis", time, command, np.zeros(4000), "%", "rad", 1e-4), loads)
+        begin = kernel.start_state(0.0, 0.0, 0.0)
+        one, other = (kernel.predict(case.drive, kernel.vector(loads, v), begin).reading for v in (values, shifted))
+        assert np.abs(one - other).max() > 1e-3 if told else np.abs(one - other).max() < 1e-9
+        last = replace(point(1000.0), values=shifted)
+        said = extend._pushed([case], last, "%")
+        assert [s.startswith("The drive never stops pushing") for s in said] == ([] if told else [True])
+        assert not extend._pushed([case], replace(last, structure=loads), "%")

@@ -37,6 +37,8 @@ from twin.writers import latex
 
 #: So many shapes without a name are drawn to the end, and none where names leave a smaller share of the missing torque.
 SKETCHES, FAINT = 2, 0.1
+#: An axis that is left to itself for so long in all shows what pulls at it, s.
+COASTS = 0.5
 
 
 def _fitness(chosen: Sequence[Trace], which: str, white: float) -> Fitness:
@@ -260,6 +262,7 @@ def diagnose(
         for p in (first_point, last_point)
     ]
     shapes = [tuple(locate.shapes(m)) for m in missing]
+    pushed = _pushed(found.cases, last_point, recordings[0].input_unit)
     lap("locate")
     tell("checking on held-out data through the FMU", 0.9)
     runs = [*(("train", Part(r)) for r in train), *(("holdout", p) for p in held_out)]
@@ -299,9 +302,27 @@ def diagnose(
         faults=tuple(f for r in recordings for f in r.faults),
         experiment=designed,
         undecided=_undecided(found),
-        remarks=(*_remarks(found, fit, findings), *said),
+        remarks=(*_remarks(found, fit, findings), *pushed, *said),
         seconds=seconds,
     )
+
+
+def _pushed(cases: Sequence[Case], last: Point, unit: str) -> list[str]:
+    """Where the drive hardly ever lets go: with the gears in mesh a constant torque then only shifts the dead-band."""
+    if "dead_band" not in last.structure or "constant_offset" in last.structure:
+        return []
+    ahead, behind = (last.values[f"dead_band_{side}"] for side in ("forward", "reverse"))
+    coasted = 0.0
+    for case in cases:
+        passes = (case.drive.command > ahead) | (case.drive.command < -behind)
+        lasts = np.diff(case.drive.time, append=case.drive.time[-1])
+        coasted += float(np.sum(lasts[~passes & (np.cumsum(passes) > 0)]))
+    if coasted > COASTS:
+        return []
+    return [
+        "The drive never stops pushing. A constant torque, if there is one, then looks the same as dead-bands that "
+        f"differ, here {ahead:.3g} and {behind:.3g} {unit}: to tell, let the axis coast for some seconds."
+    ]
 
 
 def _remarks(found: Search, fit: Mapping[str, Mapping[str, Fitness]], findings: Sequence[Finding]) -> list[str]:
