@@ -1,9 +1,9 @@
 """A second simulator of rigs: the motor as a circuit, three bodies, friction as bristles or as a set-valued law.
 
-It was written from the list of effects alone and shares nothing with the model in `twin/` nor with the rigs in MuJoCo,
-which are alike where both are simple. Here the back-EMF brakes the motor and heat takes current and torque constant;
-dry friction has its own shares at motor and link and may give before it slides; the supply falls with the current that
-the bridge draws from it; the motor stands anywhere in the gap at the start; noise is the motor's and has a colour.
+It shares nothing with the model in `twin/` nor with the rigs in MuJoCo, which are alike where both are simple. Here the
+back-EMF brakes the motor alone, and heat takes current and torque constant; dry friction has its own shares at motor
+and link and may give before it slides; the supply falls with the current that the bridge draws from it; the motor
+stands anywhere in the gap at the start; noise is the motor's and has a colour.
 
 Units: the inertia of motor and link is 1, so torques are in rad/s^2. Duty in percent, angles in rad, time in s. Voltage
 is a share of the supply's, current of what flows when the motor is held at full duty.
