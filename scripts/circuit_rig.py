@@ -213,9 +213,6 @@ def _draws(rng: np.random.Generator, rig: Rig, size: float, duration: float) -> 
     def one_of(*names: str) -> str:
         return str(rng.choice(names))
 
-    def plain(id: str, parameters: Parameters) -> Concealed:
-        return Concealed(id, parameters)
-
     def dry(id: str, level: float, parameters: Parameters) -> Concealed:
         """On or in dry friction, whose share at the motor and give are the rig's own."""
         at_motor = between(0.0, 0.4) * float(rng.random() < 0.5)
@@ -233,7 +230,7 @@ def _draws(rng: np.random.Generator, rig: Rig, size: float, duration: float) -> 
             speed * 0.3 / size * rng.uniform(0.1, 0.3, 2) if size else np.array([FAR, FAR])
         ).tolist()  # fmt: skip
         missing, rate = rng.integers(0, 4), TURN * between(15.0, 50.0)
-        return plain("end_stop", {
+        return Concealed("end_stop", {
             "stop_upper": FAR if missing == 0 else rig.start + upper,
             "stop_lower": -FAR if missing == 1 else rig.start - lower,
             "stop_stiffness": rate**2,
@@ -242,11 +239,11 @@ def _draws(rng: np.random.Generator, rig: Rig, size: float, duration: float) -> 
 
     def coupling() -> Concealed:
         if not size:
-            return plain("joint_elasticity", {})
+            return Concealed("joint_elasticity", {})
         gear = between(0.03, 0.1) * (1.0 - rig.motor_inertia)
         ahead, rate = rig.motor_inertia + gear, TURN * min(3.0 * sqrt(0.3 / size), 60.0)
         reduced = ahead * (1.0 - ahead)
-        return plain("joint_elasticity", {
+        return Concealed("joint_elasticity", {
             "gear_inertia": gear,
             "coupling_stiffness": rate**2 * reduced,
             "coupling_damping": 2.0 * between(0.01, 0.1) * rate * reduced,
@@ -254,17 +251,17 @@ def _draws(rng: np.random.Generator, rig: Rig, size: float, duration: float) -> 
 
     def load_change() -> Concealed:
         factor = 1.0 + 3.0 * size
-        return plain("load_change", {
+        return Concealed("load_change", {
             "load_factor": factor if rng.random() < 0.5 else 1.0 / factor, "load_time": duration * between(0.3, 0.7),
         })  # fmt: skip
 
     def gravity() -> Concealed:
         down = -phase()  # it starts hanging, or would swing
-        return plain("gravity", {"gravity": torque, "gravity_phase": -down, "start": down})
+        return Concealed("gravity", {"gravity": torque, "gravity_phase": -down, "start": down})
 
     def fade() -> Concealed:
         time = duration * between(0.3, 1.0)
-        return plain("thermal_fade", {"heating": 1500.0 * size / time, "cooling_time": time})
+        return Concealed("thermal_fade", {"heating": 1500.0 * size / time, "cooling_time": time})
 
     return {
         "coulomb_friction": lambda: dry("coulomb_friction", torque, {}),
@@ -273,35 +270,35 @@ def _draws(rng: np.random.Generator, rig: Rig, size: float, duration: float) -> 
         "friction_asymmetry": lambda: shaped("friction_asymmetry", "one_way", between(0.2, 0.8) * either(), {}),
         "position_dependent_friction": lambda: shaped(
             "position_dependent_friction", "around", between(0.3, 0.95), {"around_phase": phase()}),
-        "load_dependent_friction": lambda: plain(
+        "load_dependent_friction": lambda: Concealed(
             "load_dependent_friction", {"per_load": size, "load_at_motor": float(rng.random() < 0.5)}),
-        "constant_offset": lambda: plain(
+        "constant_offset": lambda: Concealed(
             "constant_offset", {one_of("offset_motor", "offset_link"): torque * either()}),
-        "quadratic_drag": lambda: plain("quadratic_drag", {"drag": torque / speed**2}),
+        "quadratic_drag": lambda: Concealed("quadratic_drag", {"drag": torque / speed**2}),
         "gravity": gravity,
-        "spring": lambda: plain("spring", {"spring": torque / pi, "spring_rest": rig.start + between(-0.5, 0.5)}),
-        "torque_ripple": lambda: plain("torque_ripple", {
+        "spring": lambda: Concealed("spring", {"spring": torque / pi, "spring_rest": rig.start + between(-0.5, 0.5)}),
+        "torque_ripple": lambda: Concealed("torque_ripple", {
             one_of("ripple_motor", "ripple_link"): torque, "ripple_order": float(rng.integers(4, 41)),
             "ripple_phase": phase()}),
         "end_stop": stops,
         "joint_elasticity": coupling,
-        "motor_lag": lambda: plain("motor_lag", {one_of("filter_time", "winding_time"): 0.2 * size}),
-        "input_delay": lambda: plain("input_delay", {"delay": 0.1 * size}),
-        "drive_saturation": lambda: plain("drive_saturation", {"saturation": 100.0 * (1.0 - 2.0 * size)}),
-        "supply_sag": lambda: plain("supply_sag", {"source_resistance": size}),
+        "motor_lag": lambda: Concealed("motor_lag", {one_of("filter_time", "winding_time"): 0.2 * size}),
+        "input_delay": lambda: Concealed("input_delay", {"delay": 0.1 * size}),
+        "drive_saturation": lambda: Concealed("drive_saturation", {"saturation": 100.0 * (1.0 - 2.0 * size)}),
+        "supply_sag": lambda: Concealed("supply_sag", {"source_resistance": size}),
         "thermal_fade": fade,
         "load_change": load_change,
-        "encoder_eccentricity": lambda: plain(
+        "encoder_eccentricity": lambda: Concealed(
             "encoder_eccentricity", {"eccentricity": 0.1 * size, "eccentricity_phase": phase()}),
-        "periodic_disturbance": lambda: plain("periodic_disturbance", {
+        "periodic_disturbance": lambda: Concealed("periodic_disturbance", {
             "shake": torque, "shake_frequency": 0.5 * 30.0 ** between(0.0, 1.0), "shake_phase": phase()}),
-        "other_latch": lambda: plain("other_latch", {
+        "other_latch": lambda: Concealed("other_latch", {
             "latch": torque, "latch_width": between(0.06, 0.2), "latch_angle": rig.start + reach * between(-1.0, 1.0)}),
-        "other_speed_hump": lambda: plain("other_speed_hump", {
+        "other_speed_hump": lambda: Concealed("other_speed_hump", {
             "hump": torque, "hump_speed": speed * between(0.3, 0.7), "hump_width": speed * between(0.05, 0.12)}),
-        "other_cubic_spring": lambda: plain("other_cubic_spring", {
+        "other_cubic_spring": lambda: Concealed("other_cubic_spring", {
             "cubic": torque / max(speed, 1.0) ** 3, "cubic_flat": speed * between(0.1, 0.4)}),
-        "other_slant": lambda: plain("other_slant", {"slant": size * rig.viscous_friction * either()}),
+        "other_slant": lambda: Concealed("other_slant", {"slant": size * rig.viscous_friction * either()}),
     }  # fmt: skip
 
 

@@ -67,7 +67,11 @@ class Structure:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        return tuple(p for e in self.effects for p in e.parameters if not p.slot or p.slot in self.slots)
+        return tuple(p for e in self.effects for p in self.acting(e))
+
+    def acting(self, effect: Effect) -> tuple[Parameter, ...]:
+        """The effect's parameters that have something to act on here."""
+        return tuple(p for p in effect.parameters if not p.slot or p.slot in self.slots)
 
     @property
     def slots(self) -> frozenset[str]:

@@ -57,7 +57,7 @@ def says(effect: str, model: Model) -> str:
     """The sentence of an effect with the model's numbers in it."""
     shown = {}
     for i in (effect, *EFFECTS[effect].includes):
-        for p in (p for p in EFFECTS[i].parameters if p.name in model.values):
+        for p in model.structure.acting(EFFECTS[i]):
             value, std = model.values[p.name], model.std(p.name)
             unit = model.unit(p.name)
             spread = f" ± {std:.2g}" if math.isfinite(std) else ""
@@ -262,7 +262,6 @@ def diagnose(
         for p in (first_point, last_point)
     ]
     shapes = [tuple(locate.shapes(m)) for m in missing]
-    pushed = _pushed(found.cases, last_point, recordings[0].input_unit)
     lap("locate")
     tell("checking on held-out data through the FMU", 0.9)
     runs = [*(("train", Part(r)) for r in train), *(("holdout", p) for p in held_out)]
@@ -302,7 +301,7 @@ def diagnose(
         faults=tuple(f for r in recordings for f in r.faults),
         experiment=designed,
         undecided=_undecided(found),
-        remarks=(*_remarks(found, fit, findings), *pushed, *said),
+        remarks=(*_remarks(found, fit, findings), *_pushed(found.cases, last_point, recordings[0].input_unit), *said),
         seconds=seconds,
     )
 

@@ -209,8 +209,8 @@ def _documentation(model: Model) -> str:
     """HTML from the pages of the effects: what each is, its law as it stands in the equations, its source."""
     parts = ["<p>A motor-driven axis. Accelerations and inertias are relative to the inertia of the axis.</p>", "<ul>"]
     for e in model.structure.effects:
-        own = [p.name for p in e.parameters if p.name in model.values]
-        values = {name: f"{model.values[name]:.4g} {model.unit(name)}" for name in own}
+        acting = model.structure.acting(e)
+        values = {p.name: f"{model.values[p.name]:.4g} {model.unit(p.name)}" for p in acting}
         said = html.escape(e.sentence.format(**values))
         law = f"<br><code>{html.escape(_law(e.id, {}))}</code>" if e.law is not None else ""
         parts.append(f"<li><b>{html.escape(e.title)}</b>: {said}{law}<br><i>{html.escape(e.reference)}</i></li>")
@@ -232,19 +232,20 @@ def write(model: Model) -> str:
     declared.append(_declare("Real", "mass", "1", "inertia, in units of that of the axis"))
     equations.append(f"mass = 1 + {_sum(model, 'mass', link)};")
     drag_link = _sum(model, "drag", link)
+    drag_motor = _sum(model, "drag", {"position": "position", "velocity": "motor_velocity"}) if two else drag_link
     # Where nothing tells motor and link apart each is half of the axis.
-    resist = f"0.5*({drag_link})"
-    transmitted = f"(((torque + {resist})*(mass - 0.5) - 0.5*(load + {resist}))/mass)"
-    drag_motor = _sum(model, "drag", {"position": "position", "velocity": "motor_velocity"})
-    if two and structure.elastic:
+    inertia, part = ("motor_share", "friction_share") if two else ("0.5", "0.5")
+    bearing = (
+        f"((torque + {part}*({drag_motor}))*(mass - {inertia}) - (load + (1 - {part})*({drag_link}))*{inertia})/mass"
+    )
+    if not two:
+        transmitted = f"({bearing})"
+    elif structure.elastic:
         transmitted = "contact"
-    elif two:
+    else:
         # Rigid teeth knock without friction: what holds them together counts, not the blow of the spring instead.
         declared.append(_declare("Real", "bearing", f"{x}/s^2", "torque that makes motor and link move as one"))
-        equations.append(
-            f"bearing = ((torque + friction_share*({drag_motor}))*(mass - motor_share)"
-            f" - (load + (1 - friction_share)*({drag_link}))*motor_share)/mass;"
-        )
+        equations.append(f"bearing = {bearing};")
         transmitted = (
             "(if backlash_gap <= 0 then bearing elseif gap > 0.5*backlash_gap then max(bearing, 0)"
             " elseif gap < -0.5*backlash_gap then min(bearing, 0) else 0)"
