@@ -249,10 +249,9 @@ def _sensible(model: Model, draft: Controller) -> tuple[float, str]:
     bandwidth = ceilings[why] / (2.0 * math.pi)
     for _ in range(40):
         trial = _tuned(model, draft, bandwidth)
-        margin = linear.margins(trial, joint)
         if trial.command_noise > SPREAD_OF_NOISE * draft.settings["limit"]:
             why = "the sensor's resolution and the torque noise"
-        elif not margin.sensitivity <= SENSITIVE:
+        elif not linear.sensitivity(trial, joint) <= SENSITIVE:
             why = "the elastic joint" if joint else "the loop's robustness"
         else:
             break

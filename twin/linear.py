@@ -192,23 +192,34 @@ def _response(open_loop: Any, controller: Controller, count: int) -> tuple[NDArr
     """Frequency response from a hundredth of the bandwidth to the Nyquist frequency, at rates in rad/s."""
     nyquist = math.pi / controller.sample_time
     omega = np.geomspace(1e-2 * min(2.0 * math.pi * controller.bandwidth, nyquist), 0.99 * nyquist, count)
-    return np.asarray(open_loop(np.exp(1j * omega * controller.sample_time))), omega
+    # All rates in one call; python-control asks for them one by one.
+    z = np.exp(1j * omega * controller.sample_time)[:, None, None]
+    states = np.linalg.solve(z * np.eye(open_loop.nstates) - open_loop.A, open_loop.B[None])
+    return (open_loop.C @ states + open_loop.D)[:, 0, 0], omega
 
 
 def stable(open_loop: Any) -> bool:
     return bool(np.max(np.abs(control.feedback(open_loop, 1).poles())) < 1.0)
 
 
-def margins(controller: Controller, joint: Joint | None = None) -> Margins:
-    """Margins of the sampled loop (all NaN where it is unstable)."""
+def sensitivity(controller: Controller, joint: Joint | None = None) -> float:
+    """The largest sensitivity of the sampled loop (NaN where it is unstable)."""
     open_loop = loop(controller, joint)
     if not stable(open_loop):
+        return math.nan
+    response, _ = _response(open_loop, controller, 2000)
+    return float(np.max(1.0 / np.abs(1.0 + response)))
+
+
+def margins(controller: Controller, joint: Joint | None = None) -> Margins:
+    """Margins of the sampled loop (all NaN where it is unstable)."""
+    largest = sensitivity(controller, joint)
+    if math.isnan(largest):
         return Margins(math.nan, math.nan, math.nan, math.nan)
-    response, omega = _response(open_loop, controller, 2000)
+    response, omega = _response(loop(controller, joint), controller, 2000)
     gain, phase, _, _, crossover, _ = control.stability_margins(control.frd(response, omega))
     radians = math.radians(phase)
-    sensitivity = float(np.max(1.0 / np.abs(1.0 + response)))
-    return Margins(float(gain), radians, radians / float(crossover), sensitivity)
+    return Margins(float(gain), radians, radians / float(crossover), largest)
 
 
 def command_noise(controller: Controller, reading_variance: float, torque_density: float) -> float:
