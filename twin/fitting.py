@@ -52,16 +52,7 @@ def compile_kernel(tell: Progress) -> None:
     loaded = kernel.compiled()
     if not any(kernel.cache_folder().glob(f"**/{loaded.__name__}*.nbi")):
         tell("compiling the kernel, once on this machine (half a minute)", 0.0)
-    count = 8
-    ramp = np.arange(count, dtype=float)
-    drive = kernel.Drive(
-        np.arange(count, dtype=float), ramp, ramp.copy(), False, kernel.known_vector({}), np.zeros(5), 0.5
-    )
-    everything = ready.base_structure()
-    p = kernel.vector(everything, {q.name: q.start for q in everything.parameters})
-    start = kernel.start_state(0.0, 0.0, 0.0)
-    kernel.predict_with_slopes(drive, p, start, np.zeros((len(start), 1)), ("input_gain",))
-    kernel.predict(drive, p, start)
+    kernel.warm(ready.base_structure())
 
 
 def with_largest_command(found: Model, recordings: Sequence[Recording]) -> Model:

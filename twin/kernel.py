@@ -89,15 +89,20 @@ def _stepper(numbers: Numbering, suffix: str = "") -> str:
     return re.sub(rf"\b({names})\(", rf"\1{suffix}(", text)
 
 
-def kernel_text(offered: Structure = EVERYTHING) -> str:
+def kernel_text(offered: Structure) -> str:
     """The whole source that is compiled, for structures made of the effects on offer."""
-    numbers = numbering(EVERYTHING, True).offering((), offered.ids)
-    common = numbers.offering(BASE, COMMON)
+    every = numbering(EVERYTHING, True)
+    numbers = every.offering((), offered.ids)
+    steppers = [_stepper(numbers)]
+    if offered == NAMED:
+        steppers.append(_stepper(numbers.offering(BASE, COMMON), "_common"))
     loops = "\n".join(textwrap.dedent(inspect.getsource(f)) for f in _LOOPS)
-    steppers = "\n\n\n".join([_stepper(numbers), _stepper(common, "_common")])
     # The steppers become part of the loops.
-    inlined = re.sub(r"^def ", "@njit(error_model='numpy', nogil=True, forceinline=True)\ndef ", steppers, flags=re.M)
-    driven = ast.unparse(resolve(ast.unparse(_Index().visit(ast.parse(loops))), numbering(EVERYTHING, True)))
+    inline = "@njit(error_model='numpy', nogil=True, forceinline=True)\ndef "
+    inlined = re.sub(r"^def ", inline, "\n\n\n".join(steppers), flags=re.M)
+    # Without a common stepper the loops have no switch to it.
+    switches = every if len(steppers) > 1 else numbers
+    driven = ast.unparse(resolve(ast.unparse(_Index().visit(ast.parse(loops))), switches))
     cached = re.sub(r"^def ", "@njit(error_model='numpy', nogil=True, cache=True)\ndef ", driven, flags=re.M)
     return "\n\n\n".join([_HEAD, inlined, cached]) + "\n"
 
@@ -285,6 +290,16 @@ def predict_with_slopes(
 ) -> Prediction:
     """All of `in_pieces` at once."""
     return next(in_pieces(drive, p, x, slope, names, noise, len(drive.time)))[1]
+
+
+def warm(structure: Structure) -> None:
+    """Have the kernel that serves the structure compiled where this machine has not yet."""
+    time = np.arange(8, dtype=float)
+    drive = Drive(time, time, time.copy(), False, known_vector({}), np.zeros(5), 0.5)
+    p = vector(structure, {})
+    start = start_state(0.0, 0.0, 0.0)
+    predict_with_slopes(drive, p, start, np.zeros((len(start), 1)), ("input_gain",))
+    predict(drive, p, start)
 
 
 def known_vector(known: Mapping[str, float]) -> FloatArray:
