@@ -27,15 +27,15 @@ def made(count: int) -> Recording:
 
 def test_a_long_recording_is_looked_at_in_parts_from_its_beginning_to_its_end() -> None:
     whole = ready.prepare([made(30000)], STRUCTURE)
-    parts = ascent._glimpses(whole, STRUCTURE)
+    parts = ascent.glimpses(whole, STRUCTURE)
     assert len(parts) == 5 and {p.reading_variance for p in parts} == {whole[0].reading_variance}
     assert all(p.drive.time[0] == 0.0 and p.drive.time[-1] == pytest.approx(4.0, abs=0.003) for p in parts)
     first, last, output = parts[0].recording.output, parts[-1].recording.output, whole[0].recording.output
     np.testing.assert_array_equal(first, output[: len(first)])
     np.testing.assert_array_equal(last, output[-len(last) :])
     short = ready.prepare([made(7000)], STRUCTURE)
-    assert ascent._glimpses(short, STRUCTURE) == short
-    assert ascent._glimpses(whole, STRUCTURE.with_("thermal_fade")) == whole
+    assert ascent.glimpses(short, STRUCTURE) == short
+    assert ascent.glimpses(whole, STRUCTURE.with_("thermal_fade")) == whole
 
 
 @pytest.mark.parametrize("gap", [0.018, 0.1])

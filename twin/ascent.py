@@ -95,7 +95,7 @@ def coarse(
     return best
 
 
-def _glimpses(cases: Sequence[Case], structure: Structure, lasting: float = _LASTING) -> list[Case]:
+def glimpses(cases: Sequence[Case], structure: Structure, lasting: float = _LASTING) -> list[Case]:
     """Parts of the recordings that last so long (s), spread evenly; a short recording is one part, and so is any whose
     physics counts the time since its start."""
     if equations.timed(structure):
@@ -138,7 +138,7 @@ def start(
     rigid = structure.without("tooth_compliance")
     cases = ready.prepare(recordings, rigid)
     values = {**start_values(cases, rigid), **held}
-    seen = _glimpses(cases, rigid)
+    seen = glimpses(cases, rigid)
     with ThreadPoolExecutor(2) as pool:
         points = list(pool.map(lambda m: coarse(seen, rigid, values, held, m), MEMORIES))
     return choose_contacts(cases, rigid, points[0].values), points
@@ -181,7 +181,7 @@ def _bred(cases: Sequence[Case], point: Point) -> list[dict[str, float]]:
     names = [n for n in ranges if n in point.free]
     if len(names) < 2:
         return []
-    seen = _glimpses(cases, point.structure)
+    seen = glimpses(cases, point.structure)
     density = likelihood.density_of(seen[0], max(_LOOSE, likelihood.memory_of(seen[0], likelihood.densest(seen))))
 
     def valued(x: NDArray[np.float64]) -> dict[str, float]:
@@ -217,7 +217,7 @@ def likeliest_teeth(
 def refine(cases: Sequence[Case], structure: Structure, begun: Sequence[Point], held: Mapping[str, float]) -> Point:
     """The maximum of the full likelihood from coarse points, teeth included where the structure has them."""
     mine = ready.with_steps(cases, structure)
-    seen = _glimpses(mine, structure, _LONGER)
+    seen = glimpses(mine, structure, _LONGER)
     free = tuple(n for n in ready.free_parameters(structure) if n not in held)
 
     def likeliest(starts: Iterable[dict[str, float]]) -> Point:

@@ -126,7 +126,8 @@ def retoothed(
     """The maximum near these values with teeth that are looked for anew."""
     structure = ready.with_teeth(structure)
     mine = ready.with_steps(cases, structure)
-    begun = ascent.likeliest_teeth(mine, structure, ready.completed(structure, values), density)
+    seen = ascent.glimpses(mine, structure)
+    begun = ascent.likeliest_teeth(seen, structure, ready.completed(structure, values), density)
     return settle(cases, structure, begun, held, density)
 
 
@@ -138,10 +139,10 @@ def relocated(cases: Sequence[Case], point: Point, held: Mapping[str, float]) ->
     if "backlash" not in point.structure or "joint_elasticity" in point.structure:
         return point
     rigid = point.structure.without("tooth_compliance")
-    loose = ready.with_steps(cases, rigid)
+    seen = ascent.glimpses(ready.with_steps(cases, rigid), rigid)
 
     def looked(memory: float) -> Point:
-        rough = ascent.coarse(loose, rigid, ready.completed(rigid, point.values), held, memory)
+        rough = ascent.coarse(seen, rigid, ready.completed(rigid, point.values), held, memory)
         return retoothed(cases, point.structure, {**point.values, **rough.values}, held, point.density)
 
     with ThreadPoolExecutor(2) as pool:
