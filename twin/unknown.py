@@ -296,6 +296,16 @@ def _hats(x: FloatArray, first: float, span: float) -> FloatArray:
     return np.clip(1.0 - np.abs(spot[:, None] - np.arange(KNOTS)), 0.0, 1.0)
 
 
+def knots_over(
+    x: FloatArray, between: tuple[float, float] = (0.005, 0.995)
+) -> tuple[float, float, NDArray[np.bool_]]:
+    """Where the first knot lies, how far from it the last one, and which (KNOTS,) of them have seen enough of x (N,) to
+    be fitted; `between` two quantiles of it they lie."""
+    low, high = (float(q) for q in np.quantile(x, between))
+    span = max(high - low, 1e-6)
+    return low, span, _hats(x, low, span).sum(axis=0) > _SEEN * len(x) / KNOTS
+
+
 def _smooth(columns: FloatArray, torque: FloatArray, weight: float = 3.0) -> FloatArray:
     """Heights that follow the torque, robustly, and bend no more than it asks for."""
     bend = np.diff(np.eye(columns.shape[1]), 2, axis=0)
@@ -335,8 +345,7 @@ def _first_line(
     prefix = f"unknown_{term.kind}"
     variable = "time" if term.kind == "drag" else term.kind
     x = means[variable]
-    low, high = (float(q) for q in np.quantile(x, (0.0, 1.0) if variable in ("time", "input") else (0.005, 0.995)))
-    span = max(high - low, 1e-6)
+    low, span, seen = knots_over(x, (0.0, 1.0)) if variable in ("time", "input") else knots_over(x)
     columns = _hats(x, low, span)
     weight = np.ones(len(x))
     if term.kind == "velocity":
@@ -348,7 +357,6 @@ def _first_line(
     # A first model without the right physics may end where the command does nothing.
     size = float(np.sqrt(np.mean(weight**2))) or math.inf
     heights = _smooth(columns * (weight / size)[:, None], _clipped(means["torque"])) / size
-    seen = columns.sum(axis=0) > _SEEN * len(x) / KNOTS
     start = {n: float(h) for n, h in zip(names(prefix), heights, strict=True)}
     free = tuple(n for n, s in zip(names(prefix), seen, strict=True) if s)
     return {**start, f"{prefix}_from": low, f"{prefix}_span": span}, free

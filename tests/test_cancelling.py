@@ -1,0 +1,107 @@
+"""Torques over the position that cancel each other are one curve."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from axis_runs import run, steps
+
+from twin import cancelling, extend, likelihood, ready
+from twin.axis import Structure
+from twin.effects.knots import KNOTS, names
+from twin.likelihood import Case, Point
+from twin.recording import Recording
+
+STRUCTURE = Structure.of(("inertia", "viscous_friction", "dead_band"))
+VALUES = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
+BOTH = STRUCTURE.with_("gravity", "spring")
+COUNT = 2.0 * np.pi / 16384
+STIFFENING = 0.8  # 1/(rad^2 s^2): torque over inertia is this times the cube of the angle
+#: The cube at twelve knots.
+CURVE = {
+    **{n: float(-STIFFENING * x**3) for n, x in zip(names("unknown_position"), np.linspace(-2, 2, KNOTS), strict=True)},
+    "unknown_position_from": -2.0,
+    "unknown_position_span": 4.0,
+}
+#: A spring, and gravity that pulls against it about the middle, or with it.
+AGAINST = {"gravity_gain": 4.8, "gravity_angle": np.pi, "spring_stiffness": 4.8, "spring_rest": 0.0}
+WITH = {**AGAINST, "gravity_angle": 0.0}
+
+
+def recorded(truth: Structure, largest: float = 25.0, **values: float) -> Recording:
+    """Half a minute with commands up to the largest and white torque noise, read by an encoder."""
+    rng = np.random.default_rng(2)
+    time = 0.002 * np.arange(15000)
+    command = steps(rng, len(time), 300, largest)
+    y, _ = run(truth, VALUES | values, time, command + 0.3 * rng.standard_normal(len(time)))
+    return Recording(
+        name="made", time=time, input=command, output=np.round(y / COUNT) * COUNT, input_unit="%", output_unit="rad",
+        resolution=COUNT,
+    )  # fmt: skip
+
+
+def named(recording: Recording) -> tuple[list[Case], Point]:
+    """Gravity and spring, fitted from where they cancel and from where they do not."""
+    cases = [likelihood.prepare(recording, BOTH)]
+    free = ready.free_parameters(BOTH)
+    fits = [likelihood.fit(cases, BOTH, VALUES | begin, free) for begin in (AGAINST, WITH)]
+    return cases, min(fits, key=lambda p: p.deviance)
+
+
+@cache
+def stiffening() -> tuple[list[Case], Point]:
+    return named(recorded(STRUCTURE.with_("unknown_position"), **CURVE))
+
+
+def test_a_spring_that_stiffens_is_not_a_spring_and_gravity():
+    cases, last = stiffening()
+    pieces = cancelling.one_curve(cases, STRUCTURE, last)
+    assert pieces is not None and set(pieces.ids) == {"gravity", "spring"}
+    assert pieces.left < cancelling.CANCELLED
+    assert pieces.curve.structure == STRUCTURE.with_("unknown_position")
+    got, size = pieces.curve.values, np.sqrt(np.diag(pieces.curve.covariance) * pieces.curve.scale)
+    first, span = got["unknown_position_from"], got["unknown_position_span"]
+    for i, name in enumerate(names("unknown_position")):
+        if name in pieces.curve.free:
+            at = first + span * i / (KNOTS - 1)
+            true = np.interp(at, np.linspace(-2, 2, KNOTS), [CURVE[n] for n in names("unknown_position")])
+            assert got[name] == pytest.approx(true, abs=4.0 * size[pieces.curve.free.index(name)] + 0.3)
+
+
+def test_what_is_left_is_what_algebra_leaves():
+    """x - sin x over -1.5 to 1.5, against x."""
+    at = np.linspace(-1.5, 1.5, 2001)
+    both = Point(BOTH, VALUES | AGAINST, 1.0, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    torques = cancelling._torques(("gravity", "spring"), both, at)
+    assert torques.sum(axis=0) == pytest.approx(-4.8 * (at - np.sin(at)))
+
+
+@pytest.mark.parametrize(
+    ("values", "largest", "drawn"),
+    [
+        (AGAINST, 12.0, True),  # over a short travel nothing tells them from a curve
+        (AGAINST, 25.0, False),  # over a long one they do more
+        (WITH, 12.0, False),
+    ],
+)
+def test_names_stay_where_they_do_not_cancel_or_do_more(values, largest, drawn):
+    cases, last = named(recorded(BOTH, largest, **values))
+    assert (cancelling.one_curve(cases, STRUCTURE, last) is not None) is drawn
+
+
+def test_one_torque_or_what_the_first_model_knows_is_no_piece():
+    cases, last = stiffening()
+    assert cancelling.one_curve(cases, STRUCTURE.with_("gravity"), last) is None
+
+
+def test_the_answer_is_a_curve_and_says_why(monkeypatch):
+    # Here the search for shapes would find it, too; on a rig with a gap the first model is too far astray for that.
+    monkeypatch.setattr(extend, "_outdone", lambda found, nameless: False)
+    made = recorded(STRUCTURE.with_("unknown_position"), **CURVE)
+    found = extend.diagnose([made], STRUCTURE, {}, ("gravity", "spring"))
+    assert found.verdict == "unexplained" and not found.findings
+    assert "unknown_position" in found.after.structure and found.depends_on == ("position",)
+    assert any("cancel each other" in s for s in found.remarks)
+    assert found.fit["holdout"]["after"].rmse < 0.3 * found.fit["holdout"]["before"].rmse
