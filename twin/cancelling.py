@@ -47,6 +47,16 @@ class Pieces:
     left: float
     curve: Point
 
+    @property
+    def says(self) -> str:
+        """Why they are named no more."""
+        titles = " and ".join(EFFECTS[i].title for i in self.ids)
+        return (
+            f"{titles[:1].upper()}{titles[1:]} would fit, but cancel each other: together they vary by "
+            f"{100.0 * self.left:.0f} % of what either does, and one curve over the position does as well. It may be "
+            "all of them, or one thing of another shape, as a spring that stiffens: a wider travel would tell."
+        )
+
 
 def _left_over(cases: Sequence[Case], last: Point, ids: Sequence[str]) -> float:
     """By what share of what the second largest of these torques does all together vary where the axis was."""

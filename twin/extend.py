@@ -21,13 +21,11 @@ from twin import (
     identify,
     likelihood,
     locate,
-    phrases,
     ready,
     search,
     unknown,
 )
 from twin.axis import Structure
-from twin.cancelling import Pieces
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN
 from twin.errors import BadInput
 from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
@@ -251,7 +249,7 @@ def diagnose(
     if verdict == "unexplained":
         found = replace(found, last=nameless, rounds=found.rounds[:1], lesser=(), swaps=())
     elif pieces := cancelling.one_curve(found.cases, first, found.last):
-        said.append(_cancel(pieces))
+        said.append(pieces.says)
         found = replace(found, last=pieces.curve, lesser=(), swaps=())
         verdict = "partly_explained" if set(found.last.structure.named) - {*first.named, *UNKNOWN} else "unexplained"
     lap("term without a name")
@@ -310,16 +308,6 @@ def diagnose(
         undecided=_undecided(found),
         remarks=(*_remarks(found, fit, findings), *_pushed(found.cases, last_point, recordings[0].input_unit), *said),
         seconds=seconds,
-    )
-
-
-def _cancel(pieces: Pieces) -> str:
-    """What was named, and why it is no more."""
-    names = phrases.listed([EFFECTS[i].title for i in pieces.ids])
-    return (
-        f"{names[:1].upper()}{names[1:]} would fit, but cancel each other: together they vary by "
-        f"{phrases.percent(pieces.left)} of what either does, and one curve over the position does as well. It may be "
-        "both, or one thing of another shape, as a spring that stiffens: a wider travel would tell."
     )
 
 
