@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import argparse
 import ctypes
 import os
 import shutil
@@ -135,5 +136,12 @@ if __name__ == "__main__":
     from long_recording import bench_long
 
     parts = {"kernel": bench_kernel, "fmu": bench_fmu, "identify": bench_identify, "commands": bench_commands}
-    for part in sys.argv[1:] or parts:
-        (parts | {"long": bench_long})[part]()
+    usual = tuple(parts)
+    parts["long"] = bench_long
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("part", nargs="*", metavar="PART", help=f"{', '.join(parts)}; all but the last unless given")
+    given = parser.parse_args().part
+    if unknown := [part for part in given if part not in parts]:
+        parser.error(f"there is no part {unknown[0]!r}: choose from {', '.join(parts)}")
+    for part in given or usual:
+        parts[part]()
