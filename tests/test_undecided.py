@@ -143,19 +143,28 @@ def test_a_rival_takes_the_place_only_of_what_it_shows_without(monkeypatch, reac
 
 
 def test_a_rattling_rig_is_said_to_hide_effects(monkeypatch):
-    fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(0.2, 2.0, math.nan)}}
+    fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(0.05, 0.5, math.nan)}}
     for rough, rattles in ((0.5 * compare.LEAST, False), (2.0 * compare.LEAST, True)):
         monkeypatch.setattr(identify, "roughness", lambda cases, point, rough=rough: rough)
-        said = extend._remarks(searched(500.0), fit, [])
+        said = extend._remarks(searched(500.0), fit)
         assert [s.startswith("The motor rattles in its gap") for s in said] == ([True] if rattles else [])
 
 
+@pytest.mark.parametrize(("after", "worse"), [(0.05, False), (0.2, True)])
+def test_a_larger_model_that_held_out_data_speak_against_is_said_to_be(monkeypatch, after, worse):
+    """A curve without a name no less than a name."""
+    fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(after, 10.0 * after, math.nan)}}
+    monkeypatch.setattr(identify, "roughness", lambda cases, point: 0.0)
+    said = extend._remarks(searched(500.0), fit)
+    assert [s.startswith("The likelihood prefers the larger") for s in said] == [True] * worse
+
+
 def test_what_is_followed_but_not_judged_is_said(monkeypatch):
-    fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(0.2, 2.0, math.nan)}}
+    fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(0.05, 0.5, math.nan)}}
     monkeypatch.setattr(identify, "roughness", lambda cases, point: 0.0)
     hidden = {"calm": None, "loud": np.array([True, False, False, False])}
     cases = [SimpleNamespace(recording=SimpleNamespace(name=n), rattling=h) for n, h in hidden.items()]
-    (said,) = extend._remarks(replace(searched(500.0), cases=tuple(cases)), fit, [])
+    (said,) = extend._remarks(replace(searched(500.0), cases=tuple(cases)), fit)
     assert said.startswith("loud: in 25 % of what was fitted")
 
 

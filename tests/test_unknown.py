@@ -51,6 +51,13 @@ def with_curve(cases: list[Case], base: Point, term: Term) -> Point:
     return unknown.finish(cases, unknown.sketch(cases, base, term))
 
 
+def with_name(case: Case, base: Point, name: str) -> Point:
+    """The base and an effect, fitted together."""
+    structure = STRUCTURE.with_(name)
+    mine, free = ready.with_steps([case], structure), ready.free_parameters(structure)
+    return likelihood.climb(mine, structure, ready.completed(structure, base.values), base.density, free)
+
+
 def bump(at: np.ndarray) -> np.ndarray:
     """A torque over position of a shape that no page has."""
     return 3.0 * np.exp(-(((at - 1.0) / 0.8) ** 2))
@@ -278,16 +285,28 @@ def test_friction_that_falls_with_time_is_found_and_drawn():
 )
 def test_what_has_no_name_wins_where_the_names_do_nothing_beside_it(key, name, term, outdone):
     case, first = fitted(key)
-    last = first
-    if name:
-        (mine,) = ready.with_steps([case], STRUCTURE.with_(name))
-        structure = STRUCTURE.with_(name)
-        free = ready.free_parameters(structure)
-        last = likelihood.climb([mine], structure, ready.completed(structure, first.values), first.density, free)
-        assert compare.earns(first, last)
+    last = with_name(case, first, name) if name else first
+    assert not name or compare.earns(first, last)
     nameless = with_curve([case], first, term)
     found = Search(first, last, (), (case,))
     assert extend._outdone(found, nameless) is outdone
+
+
+@pytest.mark.parametrize(
+    ("key", "name", "term", "drawn", "verdict"),
+    [
+        ("hump", "", Term("velocity"), True, "unexplained"),
+        ("nothing", "", Term("time"), False, "unexplained"),  # a curve that follows chance
+        ("hump", "quadratic_drag", Term("velocity"), True, "unexplained"),
+        ("drag", "quadratic_drag", Term("time"), False, "partly_explained"),  # a curve that does less than the name
+    ],
+)
+def test_a_curve_stays_in_the_model_where_it_earns_its_place_and_the_names_do_less(key, name, term, drawn, verdict):
+    case, first = fitted(key)
+    last = with_name(case, first, name) if name else first
+    nameless = with_curve([case], first, term)
+    found, said = extend._kept(Search(first, last, (), (case,)), nameless, "unexplained")
+    assert found.last is (nameless if drawn else last) and said == verdict
 
 
 @pytest.mark.parametrize(

@@ -164,6 +164,25 @@ def _outdone(found: Search, nameless: Point) -> bool:
     return not compare.earns(nameless, _beside(found, nameless))
 
 
+def _drawn(found: Search, nameless: Point) -> Search:
+    """The search, ended with what has no name in the place of all names."""
+    return replace(found, last=nameless, rounds=found.rounds[:1], lesser=(), swaps=())
+
+
+def _kept(found: Search, nameless: Point, verdict: str) -> tuple[Search, str]:
+    """What becomes of the model, and the verdict, where this one was passed on what is left of the missing torque.
+
+    Names that leave most of it give way to a curve that predicts better. A curve that has not earned its place, or does
+    less than the names, would only lead a free run astray: then the model stays as it is.
+    """
+    if verdict != "unexplained":
+        return found, verdict
+    if compare.earns(found.first, nameless) and compare.ahead(nameless, found.last) >= 0.0:
+        return _drawn(found, nameless), verdict
+    more = set(found.last.structure.named) - set(found.first.structure.named)
+    return found, "partly_explained" if more else verdict
+
+
 def _beside(found: Search, nameless: Point) -> Point:
     """The names and what has none together, fitted; that alone where nothing was named."""
     last, kept = found.last, [n for n in found.last.free if n not in found.first.free]
@@ -245,13 +264,14 @@ def diagnose(
     tell("trying shapes without a name", 0.85)
     nameless = _nameless(found, *left)
     named = bool(set(found.last.structure.named) - set(first.named))
-    verdict = "unexplained" if _outdone(found, nameless) else unknown.verdict(named, *left)
-    if verdict == "unexplained":
-        found = replace(found, last=nameless, rounds=found.rounds[:1], lesser=(), swaps=())
+    if _outdone(found, nameless):
+        found, verdict = _drawn(found, nameless), "unexplained"
     elif pieces := cancelling.one_curve(found.cases, first, found.last):
         said.append(pieces.says)
         found = replace(found, last=pieces.curve, lesser=(), swaps=())
         verdict = "partly_explained" if set(found.last.structure.named) - {*first.named, *UNKNOWN} else "unexplained"
+    else:
+        found, verdict = _kept(found, nameless, unknown.verdict(named, *left))
     lap("term without a name")
     tell("fitting both models to the end", 0.87)
     # Of a model without the right physics nobody can say what it would have to foresee.
@@ -306,7 +326,7 @@ def diagnose(
         faults=tuple(f for r in recordings for f in r.faults),
         experiment=designed,
         undecided=_undecided(found),
-        remarks=(*_remarks(found, fit, findings), *_pushed(found.cases, last_point, recordings[0].input_unit), *said),
+        remarks=(*_remarks(found, fit), *_pushed(found.cases, last_point, recordings[0].input_unit), *said),
         seconds=seconds,
     )
 
@@ -329,15 +349,15 @@ def _pushed(cases: Sequence[Case], last: Point, unit: str) -> list[str]:
     ]
 
 
-def _remarks(found: Search, fit: Mapping[str, Mapping[str, Fitness]], findings: Sequence[Finding]) -> list[str]:
+def _remarks(found: Search, fit: Mapping[str, Mapping[str, Fitness]]) -> list[str]:
     """Where the criteria disagree, and where none of them says much."""
     said = []
     held_out = fit["holdout"]
-    if findings and held_out["after"].rmse > held_out["before"].rmse:
+    if held_out["after"].rmse > held_out["before"].rmse:
         said.append(
             "The likelihood prefers the larger model but its free run on held-out data is worse "
             f"({held_out['after'].nrmse_percent:.2f} % against {held_out['before'].nrmse_percent:.2f} %): "
-            "treat the finding with care."
+            "treat what was added with care."
         )
     said += [
         f"{c.recording.name}: in {100.0 * c.rattling.mean():.0f} % of what was fitted the input turns so often that "
