@@ -1,4 +1,4 @@
-"""Both kernels are compiled once, before xdist's workers start, rather than by each of them at once."""
+"""How the suite is shared among xdist's workers: kernels are compiled once, before these start, rather than by each."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
 
 import pytest
+
+#: Files whose tests share nothing and take long each: they go one by one to whichever worker is free. Tests of any
+#: other file share fixtures that take long to make, and one worker.
+LONG = ("test_masked_pairs", "test_undecided")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -16,3 +20,9 @@ def pytest_configure(config: pytest.Config) -> None:
     base = ready.base_structure()
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
         list(pool.map(kernel.warm, (base, base.with_("unknown_time"))))
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.path.stem not in LONG:
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
