@@ -21,6 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from threading import Lock
 from types import ModuleType
 
 import numba
@@ -57,6 +58,8 @@ COMMON = (*BASE, "tooth_compliance", "coulomb_friction", "friction_asymmetry", "
 #: The shapes without a name take as long to compile as all that has one and are rarely asked for: a kernel of their
 #: own holds them, with the same numbering.
 NAMED = EVERYTHING.without(*UNKNOWN)
+
+_LOADING = Lock()
 
 #: Index of every parameter in the kernel's vector; the switches of the effects, of the slots and of the
 #: common stepper follow them.
@@ -145,9 +148,17 @@ def module_of(name: str, text: Callable[[], str]) -> ModuleType:
 
 
 @cache
-def compiled(offered: Structure = NAMED) -> ModuleType:
-    """The kernel's module; writes and compiles it on the first call on a machine."""
+def _loaded(offered: Structure) -> ModuleType:
     return module_of(f"twin_kernel_{_fingerprint(offered)}", lambda: kernel_text(offered))
+
+
+def compiled(offered: Structure = NAMED) -> ModuleType:
+    """The kernel's module; writes it on the first call on a machine, which the first of several threads does.
+
+    Python 3.11 counts the depth of syntax trees for all threads together, and fails where two of them make one.
+    """
+    with _LOADING:
+        return _loaded(offered)
 
 
 def _serving(p: FloatArray) -> ModuleType:
