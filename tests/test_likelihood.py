@@ -106,6 +106,50 @@ def test_slow_errors_are_seen_where_little_is_judged_too() -> None:
     assert units[0] > 2.0 and units[1] > 0.3 * units[0]
 
 
+def rattling() -> tuple[Case, dict[str, float], float]:
+    """A light motor that bounces in a wide gap under a fast chirp, its true values, and a noise density."""
+    structure = STRUCTURE.with_("tooth_compliance")
+    values = {
+        "input_gain": 0.0335, "viscous_friction": 0.7, "dead_band_forward": 5.6, "dead_band_reverse": 9.0,
+        "backlash_gap": 0.082, "motor_share": 0.12, "friction_share": 0.62, "tooth_frequency": 58.0,
+        "tooth_damping": 0.27,
+    }  # fmt: skip
+    time = np.arange(5000) * 0.002
+    duty = 60.0 * np.sin(2.0 * np.pi * (0.1 + 0.395 * time) * time)
+    blank = Recording("rattles", time, duty, np.zeros(len(time)), "%", "rad", COUNT)
+    case = likelihood.prepare(blank, structure)
+    read = kernel.predict(case.drive, kernel.vector(structure, values), kernel.start_state(0.0, 0.0, 0.0)).reading
+    noise = COUNT * np.random.default_rng(3).uniform(-0.5, 0.5, len(time))
+    case = likelihood.prepare(replace(blank, output=read + noise), structure)
+    return case, values, likelihood.density_of(case, 0.1)
+
+
+def test_slopes_that_have_run_away_do_not_hold_a_climb() -> None:
+    """They promise so much of a step that none is tried which is long enough for what all others say."""
+    case, values, density = rattling()
+    structure, off = STRUCTURE.with_("tooth_compliance"), ("input_gain", "dead_band_forward", "backlash_gap")
+    begun = {n: 1.02 * v if n in off else v for n, v in values.items()}
+    reached = likelihood.climb([case], structure, begun, density, tuple(values))
+    assert abs(reached.values["input_gain"] / values["input_gain"] - 1.0) < 0.01
+
+
+def test_only_slopes_of_rattle_count_as_run_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where teeth stay in mesh for longer than a bounce, all of them say something, with any memory of the filter."""
+    calm, (rough, values, density) = made(), rattling()
+    known = [likelihood.density_of(calm, memory) for memory in (0.01, 0.03, 0.1, 0.5)]
+    kept = [likelihood.innovations(calm, STRUCTURE, VALUES, d, FREE).slopes for d in known]
+    bounded = likelihood.innovations(rough, STRUCTURE.with_("tooth_compliance"), values, density, tuple(values)).slopes
+    limit = likelihood.AWAY * 60.0 * 0.102**2
+    monkeypatch.setattr(likelihood, "AWAY", math.inf)
+    for d, slopes in zip(known, kept, strict=True):
+        np.testing.assert_array_equal(slopes, likelihood.innovations(calm, STRUCTURE, VALUES, d, FREE).slopes)
+    grown = likelihood.innovations(rough, STRUCTURE.with_("tooth_compliance"), values, density, tuple(values)).slopes
+    away = np.abs(grown[:, 0]) > limit
+    assert 0.05 < away.mean() < 0.5 and float(np.abs(grown[:, 0]).max()) > 100.0 * limit
+    assert not bounded[away].any()
+    np.testing.assert_array_equal(bounded[~away], grown[~away])
+
+
 @pytest.mark.parametrize("away", [0.4, 3.0])
 def test_what_rounding_takes_from_a_resting_axis_is_no_error(away: float) -> None:
     """A stiff spring holds the model so many counts away from a reading that says the same again and again."""
@@ -189,6 +233,10 @@ def test_a_motor_that_rattles_makes_the_likelihood_rough_and_the_errors_wide(
     point = likelihood.climb(cases, structure, values, density, ready.free_parameters(structure))
     found = identify.roughness(cases, point)
     assert found > 100.0 if rough else found < 1.0
-    least = likelihood.robust_covariance(cases, point)
-    wider = np.sqrt(np.diag(identify.to_model(cases, point, [recording], {}).covariance) / np.diag(least))
-    assert np.all(wider > 3.0) if rough else np.all(wider < 1.2)
+    model = identify.to_model(cases, point, [recording], {})
+    least = point.covariance if rough else likelihood.robust_covariance(cases, point)
+    wider = np.sqrt(np.diag(model.covariance) / np.diag(least))
+    assert np.all(wider > 10.0) if rough else np.all(wider < 1.2)
+    # What bounces have made of the slopes must not pass for knowledge.
+    size = np.array([values[n] for n in model.fitted])
+    assert np.all(np.sqrt(np.diag(model.covariance)) > 1e-5 * size)

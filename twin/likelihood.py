@@ -42,6 +42,10 @@ AT_ONCE = 100_000
 ERRS = 5.0
 #: A gradient that scatters by less than this share of what the information says is one of slopes that have run away.
 CHAOS = 0.3
+#: Slopes that are so many times as large as the drive can make them within the filter's memory have run away; where
+#: the motor does not rattle they are no larger than once that, and six times where motor and link meet. No memory is
+#: taken to be shorter than this, s: for so long a meeting shows.
+AWAY, _MEETING = 10.0, 0.05
 #: Deviance from which on a change is one that is seen: what is not seen has no slope but the rounding's.
 TRACE = 1e-6
 #: Stretches beyond one for each parameter from which on their scatter is looked at.
@@ -86,6 +90,12 @@ class Case:
         first = np.flatnonzero(changed)
         lasts = np.diff(time[first], append=time[-1])
         return np.asarray((lasts > _STILL)[np.cumsum(changed) - 1])
+
+    @cached_property
+    def longest_gap(self) -> float:
+        """The longest time between two readings, s; no longer than after which the filter begins anew."""
+        read = self.drive.time[np.isfinite(self.drive.measured)]
+        return min(float(np.max(np.diff(read), initial=0.0)), self.silence)
 
     @cached_property
     def silence(self) -> float:
@@ -277,6 +287,23 @@ class Innovations:
     slopes: FloatArray  # (N, n) of the prediction
 
 
+def _run_away(
+    case: Case, values: Mapping[str, float], density: float, free: tuple[str, ...], slopes: FloatArray
+) -> NDArray[np.bool_]:
+    """The stamps (N,) whose slopes have grown from bounce to bounce until they say nothing.
+
+    What another gain does to an axis is forgotten with the filter's memory, and so is about what the drive does within
+    it, or within the time that motor and link take to meet. Where a light motor bounces in its gap a slope grows beyond
+    that, by a factor with each bounce, and a handful of such stamps would outweigh all others.
+    """
+    # A free run forgets nothing, and one under its own loop is driven by what it reads.
+    if density == 0.0 or case.free is not None or case.drive.closed or "input_gain" not in free:
+        return np.zeros(len(slopes), dtype=bool)
+    memory = max(memory_of(case, density), _MEETING) + case.longest_gap
+    push = float(np.max(np.abs(case.drive.command))) * memory ** (1 if case.drive.speed else 2)
+    return ~(np.abs(slopes[:, free.index("input_gain")]) <= AWAY * push)
+
+
 def pieces(
     case: Case, structure: Structure, values: Mapping[str, float], density: float, free: tuple[str, ...], most: int
 ) -> Iterator[Innovations]:
@@ -307,6 +334,7 @@ def pieces(
         hidden = np.clip(error, -rounding, rounding)
         if free:
             run.slopes[np.abs(error) < rounding] = 0.0
+            run.slopes[_run_away(case, values, density, free, run.slopes)] = 0.0
         yield Innovations(error - hidden, variance, run.slopes)
 
 
