@@ -220,6 +220,36 @@ def test_dry_friction_may_be_one_sided_where_nothing_ever_coasts(coasting: bool)
         assert search._wider(cases, last, plain, CANDIDATES, {}) == []
 
 
+@pytest.mark.parametrize("asymmetry", [0.0, 0.1])
+def test_what_did_more_than_the_effect_that_it_contains_is_tried_at_its_own_size(asymmetry: float) -> None:
+    """In a round of its own; the last model may have the plain effect, which everything else then competed beside."""
+    rng = np.random.default_rng(4)
+    plain = Structure.of(["inertia", "viscous_friction", "dead_band", "coulomb_friction"])
+    longer = plain.with_("friction_asymmetry")
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0,
+              "coulomb_friction": 0.8, "friction_asymmetry": asymmetry}  # fmt: skip
+    time, count = 0.002 * np.arange(6000), 2.0 * np.pi / 16384.0
+    duty = np.where(time % 0.7 < 0.35, np.where(time // 0.7 % 2.0 < 1.0, 30.0, -30.0), 0.0)
+    y, _ = run(longer, values, time, duty + 0.05 * rng.standard_normal(len(time)) * (duty != 0.0))
+    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), longer)]
+    density = likelihood.density_of(cases[0], 0.05)
+    first, without, more = (
+        explain.settle(cases, s, values, {}, density) for s in (plain.without("coulomb_friction"), plain, longer)
+    )
+    rivals = [explain.Hypothesis(("friction_asymmetry",), more), explain.Hypothesis(("coulomb_friction",), without)]
+    rounds = [explain.Round(first, tuple(rivals), 1.0)]
+    assert bool(search._overtook(rounds, "coulomb_friction", "friction_asymmetry")) == bool(asymmetry)
+    assert search._overtook(rounds, "coulomb_friction", "stribeck_friction") == []
+    wider = search._wider(cases, without, first.structure, ["friction_asymmetry"], {}, rounds)
+    best, kept = search._widened(cases, without, [], wider, {})
+    if asymmetry:
+        assert best.values["friction_asymmetry"] == pytest.approx(asymmetry, rel=0.05)
+        assert [(w.effect, w.rival) for w in kept] == [("friction_asymmetry", "coulomb_friction")]
+        assert search._wider(cases, without, first.structure, ["friction_asymmetry"], {}) == []
+    else:
+        assert best is without
+
+
 def test_what_could_stand_for_an_effect_goes_with_it_where_a_larger_one_takes_its_place(monkeypatch) -> None:
     base, nothing = Structure.of(BASE), np.eye(0)
     last = likelihood.Point(

@@ -161,7 +161,7 @@ def find(
             break
         # What was ousted, or did not last, may have stood before what would.
         known = []
-    wider = _wider(cases, best, first, candidates, held)
+    wider = _wider(cases, best, first, candidates, held, rounds)
     best, swaps = _widened(cases, best, swaps, wider, held)
     return Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
 
@@ -220,13 +220,25 @@ def _swapped(
     return out
 
 
+def _overtook(rounds: Sequence[Round], effect: str, other: str) -> list[Point]:
+    """The fits with the other effect, where in one round it did so much more than the effect that it had earned to
+    stand beside it."""
+    fits = [{h.added[0]: h.point for h in this.rivals} for this in rounds]
+    if not any(effect in by and other in by and compare.earns(by[effect], by[other]) for by in fits):
+        return []
+    return [by[other] for by in fits if other in by]
+
+
 def _wider(
-    cases: Sequence[Case], last: Point, first: Structure, candidates: Sequence[str], held: Mapping[str, float]
+    cases: Sequence[Case], last: Point, first: Structure, candidates: Sequence[str], held: Mapping[str, float],
+    rounds: Sequence[Round] = (),
 ) -> list[Swap]:  # fmt: skip
     """The last model with what contains one of its effects, and is as large, where that fits about as well.
 
     Dry friction that differs between the directions is dry friction and a dead-band that is wider on one side, unless
-    something moves that is not driven: the simpler one is named, but little speaks for it.
+    something moves that is not driven: the simpler one is named, but little speaks for it. Where the wider one did
+    more in one of the rounds, it is tried at any size: a filter that remembers for longer may have seen what the last
+    one does not.
     """
     out = []
     for effect, other in itertools.product(last.structure.named, candidates):
@@ -239,6 +251,10 @@ def _wider(
         starts = [known | {more.gain: s * size} for s in (1.0, -1.0) if more.gain not in held]
         allowed = filter(likelihood.within_bounds, starts)
         fits = [likelihood.climb(mine, longer, v, last.density, last.free) for v in allowed]
+        for h in _overtook(rounds, effect, other):
+            share = h.values[more.gain] / max(h.values[own.gain], 1e-300)
+            begins = ({**last.values, more.gain: share * size}, {**last.values, **h.values})
+            fits += [explain.settle(cases, longer, v, held, last.density) for v in begins]
         found = min(fits, key=lambda p: p.deviance, default=None)
         if found is not None and compare.ahead(last, found) < UNSURE and plausible(cases, found):
             out.append(Swap(effect, other, found))
