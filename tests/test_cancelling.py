@@ -6,10 +6,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from axis_runs import run, steps
+from axis_runs import SANE, run, steps
 
 from twin import cancelling, extend, likelihood, ready
 from twin.axis import Structure
+from twin.effects.catalogue import CANDIDATES
 from twin.effects.knots import KNOTS, names
 from twin.likelihood import Case, Point
 from twin.recording import Recording
@@ -53,6 +54,16 @@ def named(recording: Recording) -> tuple[list[Case], Point]:
 @cache
 def stiffening() -> tuple[list[Case], Point]:
     return named(recorded(STRUCTURE.with_("unknown_position"), **CURVE))
+
+
+@pytest.mark.parametrize("effect", [c for c in CANDIDATES if c != "gravity"])
+def test_any_effect_may_stand_beside_gravity(effect: str) -> None:
+    """Only torques that follow from the position alone can be pieces of a curve over it: a stop has damping, too."""
+    cases, both = stiffening()[0], STRUCTURE.with_("gravity", effect)
+    sane = {p.name: float(np.mean(SANE[p.name])) for p in both.parameters if p.name in SANE}
+    last = likelihood.evaluate(cases, both, ready.completed(both, VALUES | sane), 1.0)
+    found = cancelling.one_curve(cases, STRUCTURE, last)
+    assert found is None or set(found.ids) <= {"gravity", "spring", "torque_ripple", "constant_offset"}
 
 
 def test_a_spring_that_stiffens_is_not_a_spring_and_gravity():

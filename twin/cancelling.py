@@ -13,9 +13,10 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import compare, likelihood, ready, unknown
+from twin import compare, equations, likelihood, ready, unknown
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
+from twin.effects.effect import SLOTS
 from twin.effects.knots import KNOTS, names
 from twin.likelihood import Case, Point
 
@@ -76,14 +77,18 @@ def _drawn(cases: Sequence[Case], last: Point, ids: Sequence[str]) -> Point:
     return likelihood.climb(ready.with_steps(cases, structure), structure, values, last.density, free)
 
 
+def _is_curve(effect: str) -> bool:
+    """Whether this is a torque that follows from the position alone; a stop's damping reads the velocity, too."""
+    if EFFECTS[effect].slot != "load" or EFFECTS[effect].law is None:
+        return False
+    read = {s.name for s in equations.trace(effect).expression.free_symbols}
+    return read & set(SLOTS["load"][0]) <= {"position"}
+
+
 def one_curve(cases: Sequence[Case], first: Structure, last: Point) -> Pieces | None:
     """What the last model has beyond the first that is one curve in pieces; None where there is no such thing, or the
     names do more than a curve over the position."""
-    ids = tuple(
-        i
-        for i in last.structure.named
-        if i in CANDIDATES and i not in first and EFFECTS[i].slot == "load" and {*EFFECTS[i].depends_on} <= {"position"}
-    )
+    ids = tuple(i for i in last.structure.named if i in CANDIDATES and i not in first and _is_curve(i))
     if len(ids) < 2 or cases[0].drive.speed:
         return None
     left = _left_over(cases, last, ids)
