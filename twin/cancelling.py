@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from twin import compare, equations, likelihood, ready, unknown
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
-from twin.effects.effect import SLOTS
 from twin.effects.knots import KNOTS, names
 from twin.likelihood import Case, Point
 
@@ -79,10 +78,7 @@ def _drawn(cases: Sequence[Case], last: Point, ids: Sequence[str]) -> Point:
 
 def _is_curve(effect: str) -> bool:
     """Whether this is a torque that follows from the position alone; a stop's damping reads the velocity, too."""
-    if EFFECTS[effect].slot != "load" or EFFECTS[effect].law is None:
-        return False
-    read = {s.name for s in equations.trace(effect).expression.free_symbols}
-    return read & set(SLOTS["load"][0]) <= {"position"}
+    return EFFECTS[effect].slot == "load" and equations.reads(effect) <= {"position"}
 
 
 def one_curve(cases: Sequence[Case], first: Structure, last: Point) -> Pieces | None:

@@ -45,7 +45,12 @@ def trace(effect_id: str) -> Trace:
     return Trace(expression, arguments, parameters + tuple(others.values()))
 
 
+def reads(effect_id: str) -> set[str]:
+    """The arguments of its slot that the law of an effect depends on. Raises ValueError as `trace` does."""
+    traced = trace(effect_id)
+    return {s.name for s in traced.expression.free_symbols & set(traced.arguments)}
+
+
 def timed(structure: Structure) -> bool:
     """Whether some law counts the time since the start, itself or as heat: such a model cannot begin anywhere else."""
-    laws = (trace(e.id).expression for e in structure.effects if e.law is not None)
-    return any({"time", "heat"} & {s.name for s in law.free_symbols} for law in laws)
+    return any({"time", "heat"} & reads(e.id) for e in structure.effects if e.law is not None)

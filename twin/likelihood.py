@@ -92,16 +92,19 @@ class Case:
         return np.asarray((lasts > _STILL)[np.cumsum(changed) - 1])
 
     @cached_property
-    def longest_gap(self) -> float:
-        """The longest time between two readings, s; no longer than after which the filter begins anew."""
-        read = self.drive.time[np.isfinite(self.drive.measured)]
-        return min(float(np.max(np.diff(read), initial=0.0)), self.silence)
+    def _waits(self) -> FloatArray:
+        """The times between one reading and the next, s."""
+        return np.asarray(np.diff(self.drive.time[np.isfinite(self.drive.measured)]))
 
     @cached_property
     def silence(self) -> float:
         """For how long nothing may be read, s."""
-        read = self.drive.time[np.isfinite(self.drive.measured)]
-        return max(_SILENCE, _SILENCES * float(np.median(np.diff(read)))) if len(read) > 1 else _SILENCE
+        return max(_SILENCE, _SILENCES * float(np.median(self._waits))) if len(self._waits) else _SILENCE
+
+    @cached_property
+    def longest_wait(self) -> float:
+        """The longest time between two readings, s; no longer than after which the filter begins anew."""
+        return min(float(np.max(self._waits, initial=0.0)), self.silence)
 
 
 def _reading_variance(recording: Recording) -> float:
@@ -287,9 +290,7 @@ class Innovations:
     slopes: FloatArray  # (N, n) of the prediction
 
 
-def _run_away(
-    case: Case, values: Mapping[str, float], density: float, free: tuple[str, ...], slopes: FloatArray
-) -> NDArray[np.bool_]:
+def _run_away(case: Case, density: float, free: tuple[str, ...], slopes: FloatArray) -> NDArray[np.bool_]:
     """The stamps (N,) whose slopes have grown from bounce to bounce until they say nothing.
 
     What another gain does to an axis is forgotten with the filter's memory, and so is about what the drive does within
@@ -299,7 +300,7 @@ def _run_away(
     # A free run forgets nothing, and one under its own loop is driven by what it reads.
     if density == 0.0 or case.free is not None or case.drive.closed or "input_gain" not in free:
         return np.zeros(len(slopes), dtype=bool)
-    memory = max(memory_of(case, density), _MEETING) + case.longest_gap
+    memory = max(memory_of(case, density), _MEETING) + case.longest_wait
     push = float(np.max(np.abs(case.drive.command))) * memory ** (1 if case.drive.speed else 2)
     return ~(np.abs(slopes[:, free.index("input_gain")]) <= AWAY * push)
 
@@ -334,7 +335,7 @@ def pieces(
         hidden = np.clip(error, -rounding, rounding)
         if free:
             run.slopes[np.abs(error) < rounding] = 0.0
-            run.slopes[_run_away(case, values, density, free, run.slopes)] = 0.0
+            run.slopes[_run_away(case, density, free, run.slopes)] = 0.0
         yield Innovations(error - hidden, variance, run.slopes)
 
 
