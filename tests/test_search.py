@@ -68,6 +68,29 @@ def test_what_only_a_long_memory_prefers_does_not_show(monkeypatch) -> None:
     assert not judged(3.0) and not judged(1.5)
 
 
+def test_a_slow_torque_has_to_do_no_more_than_a_shorter_memory_leaves_of_it(monkeypatch) -> None:
+    """Where a filter finds innovations white, a sixteenth of what one of twice its memory gave is all that is left."""
+    case = likelihood.prepare(
+        Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
+    )
+    density = likelihood.density_of(case, 0.1)
+    point = likelihood.Point(Structure.of(BASE), {}, density, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    gain = 10.0 * compare.LEAST
+    larger = replace(point, values={"gain": 1.0}, deviance=-gain)
+    monkeypatch.setattr(compare, "worth", lambda points: explain.WHITE if points[0].density == density else 1.0)
+    monkeypatch.setattr(meetings, "foreseeable", lambda cases, point: cases)
+    for left, shown in ((gain / 15.0, True), (gain / 17.0, False)):
+
+        def climb(cases, structure, values, density, free, rounds, tolerance, left=left):
+            shortest = likelihood.memory_of(case, density) < 0.03
+            better = 1.0 if shortest else -left
+            return replace(point, density=density, deviance=better if values else 0.0)
+
+        monkeypatch.setattr(likelihood, "climb", climb)
+        assert left < compare.LEAST
+        assert explain.shows([case], point, larger) is shown
+
+
 def test_what_a_rough_likelihood_gives_anywhere_is_no_gain(monkeypatch) -> None:
     """A gain counts for what it is above the changes that next to nothing makes."""
     structure = Structure.of(["inertia", "viscous_friction", "backlash"])

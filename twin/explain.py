@@ -47,8 +47,9 @@ LONG, SHORT = 0.1, 0.05
 ALIKE = 1.5
 #: Where a unit of deviance is worth less than so many, innovations are white and what they say needs no second filter.
 WHITE = 2.0
-#: What is there shows to filters that forget so many times as fast, too, down to this memory, s.
-FASTER, BRIEFEST = (2.0, 4.0), 0.02
+#: What is there shows to filters that forget so many times as fast, too, each twice as fast as the one before, down to
+#: this memory, s; of what it does to the likelihood a slow torque keeps this share when the memory is halved.
+FASTER, BRIEFEST, KEPT = (2.0, 4.0), 0.02, 1.0 / 16.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,12 +171,12 @@ def sharpened(cases: Sequence[Case], point: Point) -> Point:
 def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
     """Whether the gain rises above the roughness of the likelihood, and the larger model is preferred, too, where only
     meetings of motor and link that it foresees are judged, and by filters that forget faster, both adapted to them,
-    down to the first to which innovations are white and the effect is worth its place.
+    down to the first to which innovations are white and the effect does what it must if it is there.
 
     A light motor that rattles in its gap bounces as no model foresees, and a filter that trusts the model longer than
     a bounce rewards whatever moves the bounces to where they happened to be. A shorter memory asks for the same
     physics and is not led astray so far; but it forgets a weak and slow torque: half as long, it knows a sixteenth of
-    it. So none is asked that is shorter than it need be.
+    it. So none is asked that is shorter than it need be, and none for more than such a torque could do there.
     """
     if not compare.earns(before, after, max(identify.roughness(cases, before), identify.roughness(cases, after))):
         return False
@@ -185,10 +186,12 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
         if not compare.ahead(larger, smaller) > 0.0:
             return False
     memory = likelihood.memory_of(cases[0], before.density)
-    smaller, larger = before, after
+    smaller, larger, least = before, after, 0.0
     for shorter in (memory / times for times in FASTER):
-        if shorter < BRIEFEST or (compare.worth([smaller, larger]) < WHITE and compare.earns(smaller, larger)):
+        gain = smaller.deviance - larger.deviance
+        if shorter < BRIEFEST or (compare.worth([smaller, larger]) < WHITE and gain >= least):
             break
+        least = KEPT * gain
         smaller, larger = _adapted(cases, before, after, likelihood.density_of(cases[0], shorter))
         if not compare.ahead(larger, smaller) > 0.0:
             return False
