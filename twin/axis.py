@@ -99,6 +99,11 @@ class Structure:
     def elastic(self) -> bool:
         return "joint_elasticity" in self or "tooth_compliance" in self
 
+    @property
+    def toothed(self) -> bool:
+        """Whether motor and link meet across a gap, with no softer joint between them."""
+        return "backlash" in self and "joint_elasticity" not in self
+
     def __contains__(self, effect: str) -> bool:
         return effect in self.ids
 

@@ -137,7 +137,7 @@ def relocated(cases: Sequence[Case], point: Point, held: Mapping[str, float]) ->
 
     What was missing until now may have led them astray, and no slope leads back.
     """
-    if "backlash" not in point.structure or "joint_elasticity" in point.structure:
+    if not point.structure.toothed:
         return point
     rigid = point.structure.without("tooth_compliance")
     seen = ascent.glimpses(ready.with_steps(cases, rigid), rigid)

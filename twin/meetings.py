@@ -107,7 +107,7 @@ def judged_throughout(cases: Sequence[Case]) -> list[Case]:
 
 def foreseeable(cases: Sequence[Case], point: Point) -> list[Case]:
     """The cases, judged only where the model at this point can foresee whether motor and link touch."""
-    if "backlash" not in point.structure or "joint_elasticity" in point.structure:
+    if not point.structure.toothed:
         return judged_throughout(cases)
     out = []
     for case in cases:

@@ -24,9 +24,7 @@ def base_structure() -> Structure:
 
 def with_teeth(structure: Structure) -> Structure:
     """The structure with teeth that give, unless a softer joint already stands for them."""
-    if "backlash" not in structure or "joint_elasticity" in structure:
-        return structure.without("tooth_compliance")
-    return structure.with_("tooth_compliance")
+    return structure.with_("tooth_compliance") if structure.toothed else structure.without("tooth_compliance")
 
 
 def _springs(values: Mapping[str, float]) -> dict[str, float]:
