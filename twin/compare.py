@@ -21,10 +21,10 @@ PRICE = 3.0
 #: and 7.9, the others less.
 LEAST = 22.0
 #: Chance that what passes for one of the candidates is something that none of them describes, and units that count as
-#: one of log-odds times two: a model that errs a little makes likelihoods too sure. Both are the likeliest, rounded,
-#: for the 104 names that two studies gave (scripts/blind_trial.py, seeds 13007 and 15013).
+#: one of log-odds times two: a model that errs a little makes likelihoods too sure. For the 222 names that
+#: scripts/blind_trial.py --simulator circuit --seed 59083 gave, 8 to 12 are equally likely, and 6 and 20 are less so.
 OTHER = 0.03
-TEMPER = 12.0
+TEMPER = 8.0
 #: What a unit is worth where the slopes of all rivals have run away: as little as where a motor rattles without end.
 WORST = 100.0
 

@@ -47,8 +47,9 @@ FloatArray = NDArray[np.float64]
 Piece = tuple[float, float, float]
 Signal = tuple[Piece, ...]
 
-#: Log-likelihood that a verdict of 99 to 1 takes, in units of what it is worth.
-NEEDED = compare.TEMPER * math.log(99.0)
+#: Log-likelihood that is asked of an input, in units of what it is worth: half as much again as a verdict of 99 to 1
+#: takes, since no rig is quite the model that the input is designed on.
+NEEDED = 1.5 * compare.TEMPER * math.log(99.0)
 #: Relative standard error at which a parameter counts as known, and the one that a model brings to its first recording.
 _KNOWN, _UNKNOWN = 0.02, 10.0
 _LONGEST = 30.0  # s, where the user sets no limit
@@ -670,12 +671,12 @@ def separate(rivals: Sequence[Point], cases: Sequence[Case], limits: Limits | No
     if margin >= NEEDED:
         why = (
             f"{seconds} should {goal}: the wrong model is expected to lose a log-likelihood of {margin:.0f} or more; "
-            f"{NEEDED:.0f} make a verdict."
+            f"{NEEDED:.0f} make a verdict safe."
         )
     else:
         why = (
             f"{seconds} go furthest within these limits to {goal}, but in the worst case the wrong model loses a "
-            f"log-likelihood of only {margin:.1f}. {NEEDED:.0f} make a verdict: allow more input, travel or time."
+            f"log-likelihood of only {margin:.1f}. {NEEDED:.0f} make a verdict safe: allow more input, travel or time."
         )
     told = dict.fromkeys(i for r in rivals[:_RIVALS] for i in r.structure.named if not all(i in o for o in shown))
     return _played(bench, plan.trial.signal, why, tuple(told))

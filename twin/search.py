@@ -21,8 +21,8 @@ MOST = 4
 LAX = 0.05
 #: So often at most is more looked for after one effect has taken another's place.
 TURNS = 2
-#: Criteria that differ by less leave two explanations undecided: 73 % to 27 %.
-UNSURE = 2.0 * compare.TEMPER
+#: Criteria that differ by less leave two explanations undecided: 82 % to 18 %.
+UNSURE = 3.0 * compare.TEMPER
 #: A rival that had earned all but this share of what the winner did is tried in its place.
 NARROW = 0.1
 
