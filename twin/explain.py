@@ -1,11 +1,12 @@
 """Which physics was left out.
 
-Structures compete at one noise density. At first it is that of a filter which remembers a tenth of a second: where the
-model lacks much the likeliest believes little but the last readings, and so forgets the slow part of the misfit, in
-which physics shows. From the second round on it is the one that the recording asks for, within limits: where a light
-motor rattles in its gap, a filter that trusts the model for longer than a bounce is led astray by bounces that no model
-foresees, and rewards whatever moves them. Innovations hang together over the memory, so that a unit of deviance is
-worth less; what it is worth is measured (`compare.worth`).
+Structures compete at one noise density: that of a filter which remembers a tenth of a second, or for longer where the
+model is right for longer. Where it lacks much the likeliest density believes little but the last readings, and so
+forgets the slow part of the misfit, in which physics shows: half as long a memory knows a sixteenth of a constant
+torque, and would drop it again. Innovations hang together over the memory, so that a unit of deviance is worth less;
+what it is worth is measured (`compare.worth`). Where a light motor rattles in its gap, a filter that trusts the model
+for longer than a bounce is led astray by bounces that no model foresees, and rewards whatever moves them: so what is
+added must show to shorter memories, too (`shows`).
 
 Every candidate is looked at from two places. Near: beside the model as it stands, where the score test sees the
 smallest effect. Far: from contact without compliance, whose likelihood is smooth, so that an effect is found also where
@@ -41,8 +42,8 @@ CLOSE, HOPE = 0.4, 0.25
 EACH = 3
 #: So often at most does a round begin again from a smaller model that its rivals have shown a better place.
 AGAIN = 3
-#: Memory of the filter that judges the first round, and the least of those that judge later ones, s.
-LONG, SHORT = 0.1, 0.05
+#: The least memory of a filter that judges, s.
+MEMORY = 0.1
 #: Noise densities within this factor judge alike.
 ALIKE = 1.5
 #: Where a unit of deviance is worth less than so many, innovations are white and what they say needs no second filter.
@@ -97,7 +98,7 @@ class Round:
 
 def judged(cases: Sequence[Case], point: Point) -> float:
     """The noise density at which the first round is judged."""
-    return min(likelihood.density_of(cases[0], LONG), point.density)
+    return min(likelihood.density_of(cases[0], MEMORY), point.density)
 
 
 def settle(
@@ -115,7 +116,7 @@ def rejudged(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> 
     """The maximum at the noise density that the model asks for, now that it lacks less."""
     mine = ready.with_steps(cases, point.structure)
     likeliest = likelihood.best_density(mine, point.structure, point.values, around=point.density)
-    density = min(likelihood.density_of(cases[0], SHORT), likeliest)
+    density = min(likelihood.density_of(cases[0], MEMORY), likeliest)
     if 1.0 / ALIKE < density / point.density < ALIKE:
         return point
     return settle(cases, point.structure, point.values, held, density)
