@@ -13,7 +13,6 @@ import numpy as np
 
 from twin import (
     ascent,
-    cancelling,
     compare,
     experiment,
     explain,
@@ -22,6 +21,7 @@ from twin import (
     likelihood,
     locate,
     ready,
+    redrawn,
     search,
     unknown,
 )
@@ -266,9 +266,9 @@ def diagnose(
     named = bool(set(found.last.structure.named) - set(first.named))
     if _outdone(found, nameless):
         found, verdict = _drawn(found, nameless), "unexplained"
-    elif pieces := cancelling.one_curve(found.cases, first, found.last):
-        said.append(pieces.says)
-        found = replace(found, last=pieces.curve, lesser=(), swaps=())
+    elif drawn := redrawn.redrawn(found.cases, first, found.last):
+        said.append(drawn.says)
+        found = replace(found, last=drawn.curve, lesser=(), swaps=())
         verdict = "partly_explained" if set(found.last.structure.named) - {*first.named, *UNKNOWN} else "unexplained"
     else:
         found, verdict = _kept(found, nameless, unknown.verdict(named, *left))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from twin import ascent, compare, explain, likelihood, meetings, ready, screening
 from twin.axis import Structure
-from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS
+from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.explain import Hypothesis, Round
 from twin.likelihood import Case, Point
 from twin.plausibility import plausible
@@ -55,7 +55,7 @@ def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
     out = []
     for effect in structure.named:
         if effect not in keep:
-            brought = _orphans(structure, effect)
+            brought = structure.brought_by(effect)
             out += [structure.without(effect)] if brought else []
             out += [structure.without(effect, *brought)]
     return out
@@ -75,13 +75,6 @@ def _fair(point: Point, lesser: Sequence[Point], begun: Point) -> Point:
     missed = LAX**2 * max(begun.deviance - point.deviance, 0.0)
     fair = [q for q in lesser if not compare.earns(q, point, missed)]
     return min(fair, key=lambda q: compare.criterion(q, compare.worth([point])), default=point)
-
-
-def _orphans(structure: Structure, effect: str) -> tuple[str, ...]:
-    """What the effect brought with it and no other effect needs."""
-    others = [e for e in structure.effects if e.id != effect]
-    needed = {i for e in others for i in e.includes}
-    return tuple(i for i in EFFECTS[effect].includes if i not in BASE and i not in needed)
 
 
 def _grown(
@@ -207,7 +200,7 @@ def _swapped(
         margin = max(UNSURE, NARROW * contest.gain)
         for h, behind in contest.rivals:
             if behind < margin and plausible(cases, h.point):
-                rest = last.structure.without(effect, *_orphans(last.structure, effect))
+                rest = last.structure.without(effect, *last.structure.brought_by(effect))
                 own, other = h.point, rest.with_(*h.added)
                 starts = ({**own.values, **last.values}, {**last.values, **own.values})
                 tried = [explain.settle(cases, other, values, held, last.density) for values in starts]

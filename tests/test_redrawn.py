@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from axis_runs import SANE, run, steps
 
-from twin import cancelling, extend, likelihood, ready
+from twin import extend, likelihood, ready, redrawn
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES
 from twin.effects.knots import KNOTS, names
@@ -62,15 +62,15 @@ def test_any_effect_may_stand_beside_gravity(effect: str) -> None:
     cases, both = stiffening()[0], STRUCTURE.with_("gravity", effect)
     sane = {p.name: float(np.mean(SANE[p.name])) for p in both.parameters if p.name in SANE}
     last = likelihood.evaluate(cases, both, ready.completed(both, VALUES | sane), 1.0)
-    found = cancelling.one_curve(cases, STRUCTURE, last)
+    found = redrawn.one_curve(cases, STRUCTURE, last)
     assert found is None or set(found.ids) <= {"gravity", "spring", "torque_ripple", "constant_offset"}
 
 
 def test_a_spring_that_stiffens_is_not_a_spring_and_gravity():
     cases, last = stiffening()
-    pieces = cancelling.one_curve(cases, STRUCTURE, last)
+    pieces = redrawn.one_curve(cases, STRUCTURE, last)
     assert pieces is not None and set(pieces.ids) == {"gravity", "spring"}
-    assert pieces.left < cancelling.CANCELLED
+    assert redrawn._left_over(cases, last, pieces.ids) < redrawn.CANCELLED
     assert pieces.curve.structure == STRUCTURE.with_("unknown_position")
     got, size = pieces.curve.values, np.sqrt(np.diag(pieces.curve.covariance) * pieces.curve.scale)
     first, span = got["unknown_position_from"], got["unknown_position_span"]
@@ -85,7 +85,7 @@ def test_what_is_left_is_what_algebra_leaves():
     """x - sin x over -1.5 to 1.5, against x."""
     at = np.linspace(-1.5, 1.5, 2001)
     both = Point(BOTH, VALUES | AGAINST, 1.0, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
-    torques = cancelling._torques(("gravity", "spring"), both, at)
+    torques = redrawn._torques(("gravity", "spring"), both, at)
     assert torques.sum(axis=0) == pytest.approx(-4.8 * (at - np.sin(at)))
 
 
@@ -99,12 +99,59 @@ def test_what_is_left_is_what_algebra_leaves():
 )
 def test_names_stay_where_they_do_not_cancel_or_do_more(values, largest, drawn):
     cases, last = named(recorded(BOTH, largest, **values))
-    assert (cancelling.one_curve(cases, STRUCTURE, last) is not None) is drawn
+    assert (redrawn.one_curve(cases, STRUCTURE, last) is not None) is drawn
+
+
+#: A resistance that has a hump on one side of a straight line over speed, at twelve knots.
+SPEEDS = np.linspace(-15, 15, KNOTS)
+HUMP = {
+    **{
+        n: float(2.0 * v + 8.0 * np.exp(-0.5 * (v - 6.0) ** 2))
+        for n, v in zip(names("unknown_velocity"), SPEEDS, strict=True)
+    },
+    "unknown_velocity_from": -15.0,
+    "unknown_velocity_span": 30.0,
+    "viscous_friction": 0.0,
+}
+
+
+@pytest.mark.parametrize(
+    ("effect", "truth", "values", "variable"),
+    [
+        ("spring", "spring", {"spring_stiffness": 4.8}, None),
+        ("spring", "unknown_position", CURVE, "position"),
+        ("quadratic_drag", "quadratic_drag", {"quadratic_drag": 0.05}, None),
+        ("quadratic_drag", "unknown_velocity", HUMP, "velocity"),
+    ],
+)
+def test_a_name_stays_unless_its_law_is_not_what_is_there(effect, truth, values, variable):
+    one = STRUCTURE.with_(effect)
+    cases = [likelihood.prepare(recorded(STRUCTURE.with_(truth), 25.0, **values), one)]
+    begin = VALUES | {p.name: float(np.mean(SANE[p.name])) for p in one.parameters if p.name in SANE}
+    last = likelihood.fit(cases, one, ready.completed(one, begin | VALUES), ready.free_parameters(one))
+    found = redrawn.redrawn(cases, STRUCTURE, last)
+    if variable is None:
+        assert found is None
+    else:
+        assert found is not None and found.ids == (effect,)
+        assert found.curve.structure == STRUCTURE.with_(f"unknown_{variable}")
+        assert found.curve.deviance < last.deviance - 100.0
+
+
+def test_a_name_that_does_nothing_beside_the_curve_goes():
+    """A fade made up for what the spring missed; beside the curve a friction that is there stays."""
+    truth, both = STRUCTURE.with_("unknown_position", "coulomb_friction"), STRUCTURE.with_("spring", "coulomb_friction")
+    more = both.with_("thermal_fade")
+    cases = [likelihood.prepare(recorded(truth, 25.0, coulomb_friction=0.3, **CURVE), more)]
+    begin = ready.completed(more, VALUES | {"spring_stiffness": 3.0, "coulomb_friction": 0.3})
+    last = likelihood.fit(cases, more, begin, ready.free_parameters(more))
+    found = redrawn.redrawn(cases, STRUCTURE, last)
+    assert found is not None and found.curve.structure == truth
 
 
 def test_one_torque_or_what_the_first_model_knows_is_no_piece():
     cases, last = stiffening()
-    assert cancelling.one_curve(cases, STRUCTURE.with_("gravity"), last) is None
+    assert redrawn.one_curve(cases, STRUCTURE.with_("gravity"), last) is None
 
 
 def test_the_answer_is_a_curve_and_says_why(monkeypatch):

@@ -1,0 +1,132 @@
+"""Named torques that one curve of no known shape stands for better, or as well where they cancel each other.
+
+A spring that stiffens has no page. Over a short travel a spring describes most of it; about the place where gravity
+stands on its head a spring of its strength leaves k (x - sin x), nearly k x^3 / 6, and describes it with gravity. So
+what a model names over the position, and over the speed, is held against a curve over it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin import compare, equations, explain, likelihood, ready, unknown
+from twin.axis import Structure
+from twin.effects.catalogue import CANDIDATES, EFFECTS
+from twin.likelihood import Case, Point
+
+FloatArray = NDArray[np.float64]
+
+#: Torques may be pieces of one curve where together they vary by less than this share of what each of the two largest
+#: does: two that have nothing to do with each other happen to do so once in ten times.
+CANCELLED = 0.5
+#: Where the torques act that a curve over a variable may stand for.
+SLOTS: Mapping[str, str] = {"position": "load", "velocity": "drag"}
+_SPOKEN = {"position": "position", "velocity": "speed"}
+
+
+@dataclass(frozen=True, eq=False)
+class Redrawn:
+    """Effects of the last model, the model with a curve instead, and why they are named no more."""
+
+    ids: tuple[str, ...]
+    curve: Point
+    says: str
+
+
+def _ids(first: Structure, last: Structure, variable: str) -> tuple[str, ...]:
+    """What the last model names beyond the first that follows from the variable alone; a stop's damping does not."""
+    mine = (i for i in last.named if i in CANDIDATES and i not in first and EFFECTS[i].slot == SLOTS[variable])
+    return tuple(i for i in mine if equations.reads(i) <= {variable})
+
+
+def _titles(ids: Sequence[str]) -> str:
+    titles = " and ".join(EFFECTS[i].title for i in ids)
+    return titles[:1].upper() + titles[1:]
+
+
+def _drawn(cases: Sequence[Case], last: Point, ids: Sequence[str], variable: str) -> Point:
+    """The last model with a curve over the variable in the place of these effects, from what it lacks without them."""
+    structure = last.structure.without(*ids)
+    values = ready.completed(structure, last.values)
+    base = replace(last, structure=structure, values=values, free=tuple(n for n in last.free if n in values))
+    return unknown.finish(cases, unknown.sketch(cases, base, unknown.Term(variable)))
+
+
+def _needed(cases: Sequence[Case], curve: Point, names: Sequence[str]) -> Point:
+    """The model with a curve, less the names that do nothing beside it."""
+    for effect in names:
+        structure = curve.structure.without(effect, *curve.structure.brought_by(effect))
+        values = ready.completed(structure, curve.values)
+        free = tuple(n for n in curve.free if n in values)
+        mine = ready.with_steps(cases, structure)
+        less = likelihood.climb(mine, structure, values, curve.density, free)
+        if not compare.earns(less, curve):
+            curve = less
+    return curve
+
+
+def outdone(cases: Sequence[Case], first: Structure, last: Point, variable: str) -> Redrawn | None:
+    """A curve over the variable that earns its place in spite of what the last model names over it; None where it does
+    not, or nothing is named."""
+    ids = _ids(first, last.structure, variable)
+    if not ids:
+        return None
+    curve = _drawn(cases, last, ids, variable)
+    if not explain.shows(cases, last, curve):
+        return None
+    says = (
+        f"{_titles(ids)} would fit in part, but a curve over the {_SPOKEN[variable]} that no known effect describes "
+        f"fits better by {compare.earned(last, curve):.0f} units of deviance, where {compare.LEAST:.0f} would do."
+    )
+    return Redrawn(ids, curve, says)
+
+
+def _torques(ids: Sequence[str], point: Point, places: FloatArray) -> FloatArray:
+    """The torque (effects, places) of each at each place."""
+    p = SimpleNamespace(**point.values)
+    laws = [law for i in ids if (law := EFFECTS[i].law) is not None]
+    return np.array([[law(SimpleNamespace(position=x), p) for x in places.tolist()] for law in laws], dtype=float)
+
+
+def _left_over(cases: Sequence[Case], last: Point, ids: Sequence[str]) -> float:
+    """By what share of what the second largest of these torques does all together vary where the axis was."""
+    read = np.concatenate([c.drive.measured for c in cases])
+    torques = _torques(ids, last, np.quantile(read[np.isfinite(read)], np.linspace(0.005, 0.995, 200)))
+    return float(torques.sum(axis=0).std()) / max(float(np.sort(torques.std(axis=1))[-2]), 1e-300)
+
+
+def one_curve(cases: Sequence[Case], first: Structure, last: Point) -> Redrawn | None:
+    """What the last model has beyond the first that is one curve in pieces; None where there is no such thing, or the
+    names do more than a curve over the position."""
+    ids = _ids(first, last.structure, "position")
+    if len(ids) < 2:
+        return None
+    left = _left_over(cases, last, ids)
+    if left > CANCELLED:
+        return None
+    curve = _drawn(cases, last, ids, "position")
+    # The knots' price speaks for names, whatever they are: what counts is whether these fit better.
+    more = (curve.deviance - last.deviance) / compare.worth([curve, last])
+    says = (
+        f"{_titles(ids)} would fit, but cancel each other: together they vary by {100.0 * left:.0f} % of what either "
+        "does, and one curve over the position does as well. It may be all of them, or one thing of another shape, as "
+        "a spring that stiffens: a wider travel would tell."
+    )
+    return None if more > compare.LEAST else Redrawn(ids, curve, says)
+
+
+def redrawn(cases: Sequence[Case], first: Structure, last: Point) -> Redrawn | None:
+    """The last model with a curve in the place of what it names, where that is what the recording speaks for."""
+    variables = [v for v in SLOTS if not (cases[0].drive.speed and v == "position")]
+    pieces = one_curve(cases, first, last) if "position" in variables else None
+    tried = (outdone(cases, first, last, v) for v in variables) if pieces is None else [pieces]
+    best = min((r for r in tried if r is not None), key=lambda r: r.curve.deviance, default=None)
+    if best is None:
+        return None
+    others = [i for i in best.curve.structure.named if i in CANDIDATES and i not in first]
+    return replace(best, curve=_needed(cases, best.curve, others))
