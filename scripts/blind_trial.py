@@ -397,8 +397,9 @@ def summary(outcomes: Sequence[Outcome]) -> str:
     for what, kept in (("single", shown), ("pair", [o for o in of["pair"] if o.visible])):
         achieved = _median((o.achieved for o in kept), 100.0, " %")
         lines.append(f"{what + ', visible, hold-out improvement, median':48} {achieved}")
-        without = sum(not math.isfinite(o.achieved) for o in kept)
-        lines.append(f"{'  left out, what is possible being unknown':48} {without} of {len(kept)}")
+        missed = [o for o in kept if not o.exact]
+        blind = sum(math.isnan(o.possible) for o in missed)
+        lines.append(f"{'  nor exact with the truth alone to choose from':48} {blind} of the {len(missed)} not exact")
     lines.append("  (of what the true structure achieves when the tool fits it; its own fit where its set is exact)")
     lines.append(f"{'seconds a trial, median':48} {_median((o.answer.seconds for o in outcomes), 1.0, ' s')}")
     failed = sorted((o for o in outcomes if o.answer.verdict == FAILED), key=lambda o: o.label.trial)
