@@ -91,6 +91,28 @@ def test_a_slow_torque_has_to_do_no_more_than_a_shorter_memory_leaves_of_it(monk
         assert explain.shows([case], point, larger) is shown
 
 
+@pytest.mark.parametrize(("left", "shown"), [(-1.0, False), (2.0, False), (5.0, True)])
+def test_a_curve_pays_for_its_knots_once(monkeypatch, left, shown) -> None:
+    """A shorter memory, to which a slow torque is a sixteenth, is asked whether it is there, not for twelve prices."""
+    case = likelihood.prepare(
+        Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
+    )
+    density = likelihood.density_of(case, 0.1)
+    point = likelihood.Point(Structure.of(BASE), {}, density, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    knots = tuple(f"knot_{i}" for i in range(12))
+    larger = replace(point, values={"gain": 1.0}, free=knots, deviance=-10.0 * compare.LEAST)
+    monkeypatch.setattr(compare, "worth", lambda points: explain.WHITE if points[0].density == density else 1.0)
+    monkeypatch.setattr(compare, "earns", lambda *args: True)
+    monkeypatch.setattr(meetings, "foreseeable", lambda cases, point: cases)
+    monkeypatch.setattr(explain, "KEPT", 0.0)
+
+    def climb(cases, structure, values, density, free, rounds, tolerance):
+        return replace(larger if values else point, density=density, deviance=-left if values else 0.0)
+
+    monkeypatch.setattr(likelihood, "climb", climb)
+    assert explain.shows([case], point, larger) is shown
+
+
 def test_what_a_rough_likelihood_gives_anywhere_is_no_gain(monkeypatch) -> None:
     """A gain counts for what it is above the changes that next to nothing makes."""
     structure = Structure.of(["inertia", "viscous_friction", "backlash"])

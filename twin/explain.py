@@ -169,6 +169,14 @@ def sharpened(cases: Sequence[Case], point: Point) -> Point:
     return found if found.density < point.density else point
 
 
+def _still(smaller: Point, larger: Point) -> bool:
+    """Whether the larger model is preferred at the price of one parameter: whether something is there is asked, what
+    it is like has been paid for. A curve has twelve knots, and a shorter memory knows a sixteenth of a slow torque.
+    """
+    gain = (smaller.deviance - larger.deviance) / compare.worth([smaller, larger])
+    return gain > compare.PRICE * min(len(larger.free) - len(smaller.free), 1)
+
+
 def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
     """Whether the gain rises above the roughness of the likelihood, and the larger model is preferred, too, where only
     meetings of motor and link that it foresees are judged, and by filters that forget faster, both adapted to them,
@@ -184,7 +192,7 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
     foreseen = meetings.foreseeable(ready.with_steps(cases, after.structure), after)
     if any(c.unforeseen is not None for c in foreseen):
         smaller, larger = _adapted(foreseen, before, after, before.density)
-        if not compare.ahead(larger, smaller) > 0.0:
+        if not _still(smaller, larger):
             return False
     memory = likelihood.memory_of(cases[0], before.density)
     smaller, larger, least = before, after, 0.0
@@ -194,7 +202,7 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
             break
         least = KEPT * gain
         smaller, larger = _adapted(cases, before, after, likelihood.density_of(cases[0], shorter))
-        if not compare.ahead(larger, smaller) > 0.0:
+        if not _still(smaller, larger):
             return False
     return True
 
