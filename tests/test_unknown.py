@@ -8,11 +8,12 @@ from functools import cache
 import numpy as np
 import pytest
 from axis_runs import run, steps
+from scipy.interpolate import interp1d
 
 from twin import compare, extend, hold_out, identify, likelihood, locate, ready, unknown
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, UNKNOWN
-from twin.effects.knots import KNOTS, line, names
+from twin.effects.knots import KNOTS, held, line, names
 from twin.likelihood import Case, Point
 from twin.recording import Recording
 from twin.search import Search
@@ -102,11 +103,22 @@ def test_shapes_without_a_name_are_no_candidates():
     assert {f"unknown_{v}" for v in unknown.TERMS} == set(UNKNOWN)
 
 
-def test_line_goes_through_its_knots_and_on_level():
+def test_line_goes_through_its_knots_and_on_as_it_ends():
     heights = list(np.random.default_rng(1).normal(size=KNOTS))
-    at = np.linspace(-3.0, 5.0, 200)
+    at, spots = np.linspace(-3.0, 5.0, 200), np.linspace(-2.0, 4.0, KNOTS)
     drawn = [line(x, -2.0, 6.0, heights) for x in at]
-    assert np.allclose(drawn, np.interp(at, np.linspace(-2.0, 4.0, KNOTS), heights), atol=1e-12)
+    assert np.allclose(drawn, interp1d(spots, heights, fill_value="extrapolate")(at), atol=1e-12)
+    level = [held(x, -2.0, 6.0, heights) for x in at]
+    assert np.allclose(level, np.interp(at, spots, heights), atol=1e-12)
+
+
+def test_knots_that_saw_nothing_lie_on_the_line_of_their_neighbours():
+    values = dict(zip(names("unknown_position"), np.arange(KNOTS) ** 2.0, strict=True))
+    free = names("unknown_position")[2:-3]
+    bridged = unknown._bridged(values, "unknown_position", free)
+    assert [bridged[n] for n in free] == [values[n] for n in free]
+    assert [bridged[n] for n in names("unknown_position")[:2]] == pytest.approx([-6.0, -1.0])
+    assert [bridged[n] for n in names("unknown_position")[-3:]] == pytest.approx([79.0, 94.0, 109.0])
 
 
 def test_null_predicts_nothing():

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 
 from twin import likelihood, locate, ready
 from twin.axis import Structure
@@ -363,11 +364,11 @@ def _first_line(
 
 
 def _bridged(values: Mapping[str, float], prefix: str, free: Sequence[str]) -> dict[str, float]:
-    """Knots that saw too little, on the straight line between their neighbours that did not."""
+    """Knots that saw too little, on the straight line through the nearest two that did not."""
     knots = names(prefix)
     sure = [i for i, n in enumerate(knots) if n in free]
-    level = np.interp(np.arange(KNOTS), sure, [values[knots[i]] for i in sure])
-    return {**values, **{n: float(v) for n, v in zip(knots, level, strict=True)}}
+    through = make_interp_spline(sure, [values[knots[i]] for i in sure], k=min(len(sure) - 1, 1))
+    return {**values, **{n: float(v) for n, v in zip(knots, through(np.arange(KNOTS)), strict=True)}}
 
 
 def sketch(cases: Sequence[Case], base: Point, term: Term) -> Point:

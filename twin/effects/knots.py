@@ -21,7 +21,7 @@ def values(prefix: str, p: Any) -> list[Any]:
 
 
 def parameters(prefix: str, unit: str, over: str, over_unit: str, start: float, span: float) -> tuple[Parameter, ...]:
-    """The values, and the range over which the knots lie evenly; outside it the line goes on level."""
+    """The values, and the range over which the knots lie evenly; what the line does outside is the law's to say."""
     return (
         *(Parameter(n, unit, f"value at knot {i} of {KNOTS}", 0.0) for i, n in enumerate(names(prefix), 1)),
         Parameter(f"{prefix}_from", over_unit, f"{over} at the first knot", None, start=start, estimated=False),
@@ -33,9 +33,15 @@ def parameters(prefix: str, unit: str, over: str, over_unit: str, start: float, 
 
 
 def line(x: Any, first: Any, span: Any, heights: Sequence[Any]) -> Any:
-    """The line through evenly spaced knots at x, level outside."""
+    """The line through evenly spaced knots at x; outside it goes on as it ends, as most torques do."""
     spot = (len(heights) - 1) * (x - first) / span
-    total = heights[0]
-    for i in range(1, len(heights)):
+    last = len(heights) - 1
+    total = heights[0] + (heights[1] - heights[0]) * minimum(1.0, spot)
+    for i in range(2, last):
         total = total + (heights[i] - heights[i - 1]) * maximum(0.0, minimum(1.0, spot - (i - 1)))
-    return total
+    return total + (heights[last] - heights[last - 1]) * maximum(0.0, spot - (last - 1))
+
+
+def held(x: Any, first: Any, span: Any, heights: Sequence[Any]) -> Any:
+    """The same, level outside: what has become of a machine by the end stays."""
+    return line(maximum(first, minimum(first + span, x)), first, span, heights)
