@@ -216,7 +216,7 @@ def _adapted(cases: Sequence[Case], before: Point, after: Point, density: float)
     def adapted(point: Point, values: Mapping[str, float]) -> Point:
         mine = ready.with_steps(cases, point.structure)
         begun = {n: values.get(n, v) for n, v in point.values.items()}
-        return likelihood.climb(mine, point.structure, begun, density, point.free, rounds=4, tolerance=1.0)
+        return likelihood.climb(mine, point.structure, begun, density, point.free, rounds=20, tolerance=0.2)
 
     with ThreadPoolExecutor(2) as pool:
         one, other = pool.map(lambda p: adapted(p, p.values), (before, after))
