@@ -106,6 +106,13 @@ def test_slow_errors_are_seen_where_little_is_judged_too() -> None:
     assert units[0] > 2.0 and units[1] > 0.3 * units[0]
 
 
+def test_slow_errors_are_seen_in_a_short_recording_too() -> None:
+    """Were it taken for one whose errors have nothing to do with each other, the larger of two models would win."""
+    case = made(1.0, duration=4.0)
+    point = likelihood.climb([case], STRUCTURE, VALUES, likelihood.density_of(case, 0.2), FREE)
+    assert point.unit > 2.0
+
+
 def rattling() -> tuple[Case, dict[str, float], float]:
     """A light motor that bounces in a wide gap under a fast chirp, its true values, and a noise density."""
     structure = STRUCTURE.with_("tooth_compliance")

@@ -48,7 +48,7 @@ CHAOS = 0.3
 AWAY, _MEETING = 10.0, 0.05
 #: Deviance from which on a change is one that is seen: what is not seen has no slope but the rounding's.
 TRACE = 1e-6
-#: Stretches beyond one for each parameter from which on their scatter is looked at.
+#: Stretches beyond one for each parameter from more than which their scatter can be told.
 LEFT = 4
 #: Far from the maximum that worth says nothing: a climb ends at so many times its tolerance at most.
 MOST_UNITS = 10.0
@@ -384,7 +384,7 @@ def evaluate(
     stretch: float = _STRETCH,
 ) -> Point:
     """Deviance, gradient and information at these values; errors further apart than `stretch` (s), or less where
-    much is not judged, are independent.
+    little is judged, are independent.
     """
     n = len(free)
     lost = Point(structure, dict(values), density, free, math.inf, math.inf, np.eye(n), np.zeros(n), np.eye(n))
@@ -409,10 +409,8 @@ def evaluate(
     scale = _scale_of(joined)
     loss = sum(float(_loss(joined[i : i + AT_ONCE] / scale).sum()) for i in range(0, count, AT_ONCE))
     deviance = loss + logs + count * math.log(scale)
-    # What is not judged must not leave too few stretches of a recording that is long enough.
-    needed = n + LEFT + 1
-    if judged < needed * stretch < sum(float(c.drive.time[-1]) for c in cases):
-        stretch = judged / needed
+    # A short recording has short stretches: were its scatter not looked at it would speak for whatever is largest.
+    stretch = min(stretch, judged / (n + LEFT + 1))
     pulls, weights = _by_stretch(cases, structure, values, density, free, scale, None if long else results, stretch)
     normal, gradient, scatter = weights.sum(axis=0), pulls.sum(axis=0), pulls.T @ pulls
     if not np.all(np.isfinite(normal)) or not np.all(np.isfinite(gradient)):
