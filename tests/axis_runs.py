@@ -6,7 +6,7 @@ import numpy as np
 
 from twin import kernel
 from twin.axis import Structure
-from twin.effects import unknown_gain, waves
+from twin.effects import knots, unknown_gain, waves
 from twin.effects.catalogue import EFFECTS, UNKNOWN
 
 #: Sizes that a small geared axis may have (duty in percent, angles in rad).
@@ -66,15 +66,15 @@ SANE: dict[str, tuple[float, float]] = {
     "disturbance_phase": (-3.0, 3.0),
     **{p.name: (-1.0, 1.0) for i in UNKNOWN for p in EFFECTS[i].parameters},
     "unknown_position_from": (-1.0, -0.5),
-    "unknown_position_span": (1.0, 2.0),
+    **dict.fromkeys(knots.widths("unknown_position"), (0.045, 0.27)),
     "unknown_velocity_from": (-3.0, -2.0),
-    "unknown_velocity_span": (4.0, 6.0),
+    **dict.fromkeys(knots.widths("unknown_velocity"), (0.18, 0.82)),
     "unknown_input_from": (-60.0, -40.0),
-    "unknown_input_span": (80.0, 120.0),
+    **dict.fromkeys(knots.widths("unknown_input"), (3.6, 16.0)),
     "unknown_time_from": (-0.2, 0.0),
-    "unknown_time_span": (0.3, 1.0),
+    **dict.fromkeys(knots.widths("unknown_time"), (0.014, 0.14)),
     "unknown_drag_from": (-0.2, 0.0),
-    "unknown_drag_span": (0.3, 1.0),
+    **dict.fromkeys(knots.widths("unknown_drag"), (0.014, 0.14)),
     "unknown_angle_order": (0.5, 4.0),
     **dict.fromkeys(waves.names("unknown_gain", unknown_gain.HARMONICS), (-0.04, 0.04)),
     "unknown_gain_order": (0.5, 4.0),

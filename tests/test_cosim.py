@@ -15,6 +15,7 @@ from twin import controller as controllers
 from twin.control import design
 from twin.controller import Controller
 from twin.cosim import find_limit_cycle, judge, make_reference, run, simulate, to_json, unaware
+from twin.effects import knots
 from twin.effects.catalogue import BASE
 from twin.effects.catalogue import EFFECTS as EFFECT_PAGES
 from twin.errors import BadInput
@@ -96,17 +97,11 @@ MORE = {
     "load_change": {"load_added": 0.5, "load_time": 3.0},
     "periodic_disturbance": {"disturbance": 1.0, "disturbance_frequency": 1.0},
     "unknown_input": {f"unknown_input_{i:02d}": 5.0 * math.sin(i) for i in range(1, 13)},
-    "unknown_position": {
-        "unknown_position_from": -1.0, "unknown_position_span": 2.0,
-        **{f"unknown_position_{i:02d}": 3.0 * math.sin(i) for i in range(1, 13)},
-    },
+    "unknown_position": knots.through("unknown_position", np.linspace(-1.0, 1.0, 12), 3.0 * np.sin(np.arange(1, 13))),
     "unknown_angle": {"unknown_angle_sin_1": 2.0, "unknown_angle_cos_3": 1.0},
     "unknown_gain": {"unknown_gain_sin_1": 0.3, "unknown_gain_cos_3": 0.2},
     "unknown_push": {"unknown_push_forward_sin_1": 8.0, "unknown_push_reverse_cos_2": 5.0},
-    "unknown_velocity": {
-        "unknown_velocity_from": -4.0, "unknown_velocity_span": 8.0,
-        **{f"unknown_velocity_{i:02d}": 2.0 * math.sin(i) for i in range(1, 13)},
-    },
+    "unknown_velocity": knots.through("unknown_velocity", np.linspace(-4.0, 4.0, 12), 2.0 * np.sin(np.arange(1, 13))),
     "unknown_time": {"unknown_time_01": 1.0},
     "unknown_drag": {"unknown_drag_01": 1.0},
 }  # fmt: skip

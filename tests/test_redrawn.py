@@ -12,7 +12,7 @@ from scipy.interpolate import interp1d
 from twin import extend, likelihood, ready, redrawn
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES
-from twin.effects.knots import KNOTS, names
+from twin.effects.knots import KNOTS, names, spots, through
 from twin.likelihood import Case, Point
 from twin.recording import Recording
 
@@ -22,11 +22,8 @@ BOTH = STRUCTURE.with_("gravity", "spring")
 COUNT = 2.0 * np.pi / 16384
 STIFFENING = 0.8  # 1/(rad^2 s^2): torque over inertia is this times the cube of the angle
 #: The cube at twelve knots.
-CURVE = {
-    **{n: float(-STIFFENING * x**3) for n, x in zip(names("unknown_position"), np.linspace(-2, 2, KNOTS), strict=True)},
-    "unknown_position_from": -2.0,
-    "unknown_position_span": 4.0,
-}
+SPOTS = np.linspace(-2.0, 2.0, KNOTS)
+CURVE = through("unknown_position", SPOTS, -STIFFENING * SPOTS**3)
 #: A spring, and gravity that pulls against it about the middle, or with it.
 AGAINST = {"gravity_gain": 4.8, "gravity_angle": np.pi, "spring_stiffness": 4.8, "spring_rest": 0.0}
 WITH = {**AGAINST, "gravity_angle": 0.0}
@@ -74,12 +71,10 @@ def test_a_spring_that_stiffens_is_not_a_spring_and_gravity():
     assert redrawn._left_over(cases, last, pieces.ids) < redrawn.CANCELLED
     assert pieces.curve.structure == STRUCTURE.with_("unknown_position")
     got, size = pieces.curve.values, np.sqrt(np.diag(pieces.curve.covariance) * pieces.curve.scale)
-    first, span = got["unknown_position_from"], got["unknown_position_span"]
-    heights = [CURVE[n] for n in names("unknown_position")]
-    planted = interp1d(np.linspace(-2, 2, KNOTS), heights, fill_value="extrapolate")
-    for i, name in enumerate(names("unknown_position")):
+    planted = interp1d(SPOTS, -STIFFENING * SPOTS**3, fill_value="extrapolate")
+    for name, spot in zip(names("unknown_position"), spots("unknown_position", got), strict=True):
         if name in pieces.curve.free:
-            true = float(planted(first + span * i / (KNOTS - 1)))
+            true = float(planted(spot))
             assert got[name] == pytest.approx(true, abs=4.0 * size[pieces.curve.free.index(name)] + 0.3)
 
 
@@ -107,12 +102,7 @@ def test_names_stay_where_they_do_not_cancel_or_do_more(values, largest, drawn):
 #: A resistance that has a hump on one side of a straight line over speed, at twelve knots.
 SPEEDS = np.linspace(-15, 15, KNOTS)
 HUMP = {
-    **{
-        n: float(2.0 * v + 8.0 * np.exp(-0.5 * (v - 6.0) ** 2))
-        for n, v in zip(names("unknown_velocity"), SPEEDS, strict=True)
-    },
-    "unknown_velocity_from": -15.0,
-    "unknown_velocity_span": 30.0,
+    **through("unknown_velocity", SPEEDS, 2.0 * SPEEDS + 8.0 * np.exp(-0.5 * (SPEEDS - 6.0) ** 2)),
     "viscous_friction": 0.0,
 }
 

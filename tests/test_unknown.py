@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from scipy.interpolate import interp1d
 from twin import compare, extend, hold_out, identify, likelihood, locate, ready, unknown
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, UNKNOWN
-from twin.effects.knots import KNOTS, held, line, names
+from twin.effects.knots import KNOTS, held, line, names, spots, through
 from twin.likelihood import Case, Point
 from twin.recording import Recording
 from twin.search import Search
@@ -65,31 +66,23 @@ def bump(at: np.ndarray) -> np.ndarray:
 
 
 #: The planted line: the bump at twelve knots from -2 to 4 rad.
-PLANTED = {
-    **{n: float(h) for n, h in zip(names("unknown_position"), bump(np.linspace(-2.0, 4.0, KNOTS)), strict=True)},
-    "unknown_position_from": -2.0,
-    "unknown_position_span": 6.0,
-}
+SPOTS = np.linspace(-2.0, 4.0, KNOTS)
+PLANTED = through("unknown_position", SPOTS, bump(SPOTS))
+#: A bump that lies between two of so many even knots.
+NARROW = np.array([-6.0, -5.0, -4.0, -3.0, -2.0, -1.0, -0.7, -0.3, 0.1, 1.0, 2.0, 3.0])
+SHARP = through("unknown_position", NARROW, np.where(NARROW == -0.3, 4.0, 0.0))
 #: Grease that warms: viscous friction that falls from 3 to 2 per second with a time constant of 8 s.
-WARMING = {
-    **{f"unknown_drag_{i:02d}": float(np.exp(-30.0 * (i - 1) / (KNOTS - 1) / 8.0)) for i in range(1, KNOTS + 1)},
-    "unknown_drag_from": 0.0,
-    "unknown_drag_span": 30.0,
-}
+HOURS = np.linspace(0.0, 30.0, KNOTS)
+WARMING = through("unknown_drag", HOURS, np.exp(-HOURS / 8.0))
 #: Drag that is felt around one speed only, either way.
-HUMP = {
-    **{
-        n: float(2.5 * np.sign(v) * np.exp(-(((abs(v) - 4.0) / 1.0) ** 2)))
-        for n, v in zip(names("unknown_velocity"), np.linspace(-8.0, 8.0, KNOTS), strict=True)
-    },
-    "unknown_velocity_from": -8.0,
-    "unknown_velocity_span": 16.0,
-}
+SPEEDS = np.linspace(-8.0, 8.0, KNOTS)
+HUMP = through("unknown_velocity", SPEEDS, 2.5 * np.sign(SPEEDS) * np.exp(-((np.abs(SPEEDS) - 4.0) ** 2)))
 CASES = {
     "hump": lambda: recorded(10, ("unknown_velocity",), **HUMP),
     "humped": lambda: recorded(11, ("unknown_velocity", "coulomb_friction"), coulomb_friction=3.0, **HUMP),
     "warming": lambda: recorded(9, ("unknown_drag",), **WARMING),
     "bump": lambda: recorded(3, ("unknown_position",), **PLANTED),
+    "sharp": lambda: recorded(3, ("unknown_position",), **SHARP),
     "drag": lambda: recorded(4, ("quadratic_drag",), quadratic_drag=0.1),
     "cogging": lambda: recorded(6, ("unknown_angle",), unknown_angle_order=7.0, unknown_angle_sin_1=1.5),
     "gain": lambda: recorded(7, ("unknown_gain",), unknown_gain_sin_1=0.2),
@@ -104,21 +97,35 @@ def test_shapes_without_a_name_are_no_candidates():
 
 
 def test_line_goes_through_its_knots_and_on_as_it_ends():
-    heights = list(np.random.default_rng(1).normal(size=KNOTS))
-    at, spots = np.linspace(-3.0, 5.0, 200), np.linspace(-2.0, 4.0, KNOTS)
-    drawn = [line(x, -2.0, 6.0, heights) for x in at]
-    assert np.allclose(drawn, interp1d(spots, heights, fill_value="extrapolate")(at), atol=1e-12)
-    level = [held(x, -2.0, 6.0, heights) for x in at]
-    assert np.allclose(level, np.interp(at, spots, heights), atol=1e-12)
+    rng = np.random.default_rng(1)
+    heights, places = rng.normal(size=KNOTS), -2.0 + np.cumsum(rng.uniform(0.1, 1.0, KNOTS))
+    values, at = through("x", places, heights), np.linspace(-5.0, 8.0, 200)
+    assert np.allclose(spots("x", values), places)
+    drawn = [line(x, "x", SimpleNamespace(**values)) for x in at]
+    assert np.allclose(drawn, interp1d(places, heights, fill_value="extrapolate")(at), atol=1e-12)
+    level = [held(x, "x", SimpleNamespace(**values)) for x in at]
+    assert np.allclose(level, np.interp(at, places, heights), atol=1e-12)
 
 
 def test_knots_that_saw_nothing_lie_on_the_line_of_their_neighbours():
-    values = dict(zip(names("unknown_position"), np.arange(KNOTS) ** 2.0, strict=True))
-    free = names("unknown_position")[2:-3]
+    at = np.arange(KNOTS) ** 1.5
+    values, free = through("unknown_position", at, at**2), names("unknown_position")[2:-3]
     bridged = unknown._bridged(values, "unknown_position", free)
     assert [bridged[n] for n in free] == [values[n] for n in free]
-    assert [bridged[n] for n in names("unknown_position")[:2]] == pytest.approx([-6.0, -1.0])
-    assert [bridged[n] for n in names("unknown_position")[-3:]] == pytest.approx([79.0, 94.0, 109.0])
+    below, above = np.polyfit(at[2:4], at[2:4] ** 2, 1), np.polyfit(at[-5:-3], at[-5:-3] ** 2, 1)
+    assert [bridged[n] for n in names("unknown_position")[:2]] == pytest.approx(np.polyval(below, at[:2]))
+    assert [bridged[n] for n in names("unknown_position")[-3:]] == pytest.approx(np.polyval(above, at[-3:]))
+
+
+def test_knots_lie_closer_where_a_curve_bends():
+    fine = np.linspace(-3.0, 5.0, unknown.FINE)
+    for alike in (np.zeros(unknown.FINE), 2.0 * fine**2 + fine):
+        assert unknown._where_it_bends(fine, alike) == pytest.approx(np.linspace(-3.0, 5.0, KNOTS), abs=1e-6)
+    placed = unknown._where_it_bends(fine, bump(fine))
+    assert placed[0] == fine[0] and placed[-1] == pytest.approx(fine[-1]) and np.all(np.diff(placed) > 0.0)
+    even, true = np.linspace(-3.0, 5.0, KNOTS), bump(np.linspace(-3.0, 5.0, 500))
+    misses = [np.std(np.interp(np.linspace(-3.0, 5.0, 500), at, bump(at)) - true) for at in (placed, even)]
+    assert misses[0] < 0.5 * misses[1]
 
 
 def test_null_predicts_nothing():
@@ -217,10 +224,9 @@ def test_bump_over_position_is_found_and_drawn():
     assert "position" in before.variables
     found = with_curve([case], base, Term("position"))
     assert found.deviance < base.deviance - 200.0
-    first, span = found.values["unknown_position_from"], found.values["unknown_position_span"]
-    at = np.linspace(first, first + span, KNOTS)
+    at = spots("unknown_position", found.values)
     heights = np.array([found.values[n] for n in names("unknown_position")])
-    truth = np.interp(at, np.linspace(-2.0, 4.0, KNOTS), [PLANTED[n] for n in names("unknown_position")])
+    truth = np.interp(at, SPOTS, bump(SPOTS))
     size = np.sqrt(np.diag(found.covariance) * found.scale)
     band = np.array([size[found.free.index(n)] if n in found.free else np.inf for n in names("unknown_position")])
     # Straight lines between other knots than the planted ones miss the corners by a little beside the band.
@@ -228,6 +234,20 @@ def test_bump_over_position_is_found_and_drawn():
     assert np.abs(heights - truth)[np.isfinite(band)].max() < 0.3 * 3.0
     after = unknown.leftover(case, found.structure, found.values)
     assert after.size < 0.4 * before.size
+
+
+def test_a_bump_between_two_of_twelve_even_knots_is_drawn_better(monkeypatch: pytest.MonkeyPatch):
+    case, base = fitted("sharp")
+    at = np.linspace(-1.0, 0.5, 100)
+    truth = np.interp(at, NARROW, [SHARP[n] for n in names("unknown_position")])
+    misses, deviances = [], []
+    for placed in (unknown._where_it_bends, lambda fine, heights: np.linspace(fine[0], fine[-1], KNOTS)):
+        monkeypatch.setattr(unknown, "_where_it_bends", placed)
+        found = with_curve([case], base, Term("position"))
+        heights = [found.values[n] for n in names("unknown_position")]
+        misses.append(np.std(np.interp(at, spots("unknown_position", found.values), heights) - truth))
+        deviances.append(found.deviance)
+    assert misses[0] < 0.8 * misses[1] and deviances[0] < deviances[1] - 100.0
 
 
 def test_a_wave_that_only_one_direction_of_push_knows_is_found():

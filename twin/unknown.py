@@ -21,7 +21,7 @@ from scipy.interpolate import make_interp_spline
 from twin import likelihood, locate, ready
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
-from twin.effects.knots import KNOTS, names
+from twin.effects.knots import KNOTS, names, spots, through
 from twin.likelihood import Case, Point
 from twin.locate import Missing
 
@@ -287,24 +287,27 @@ TERMS = ("position", "angle", "velocity", "input", "time", "drag", "gain", "push
 _WAVES = ("angle", "gain", "push")
 #: So many travels make a wave's turn where the axis does not turn: what it is at one end it need not be at the other.
 _ROOM = 1.5
+#: Knots of the finer line that shows where a curve bends.
+FINE = 30
 #: Time that a knot must have seen, as a share of what it would have if all had the same.
 _SEEN = 0.05
 
 
-def _hats(x: FloatArray, first: float, span: float) -> FloatArray:
-    """Each knot's weight (N, KNOTS) at x."""
-    spot = np.clip((KNOTS - 1) * (x - first) / span, 0.0, KNOTS - 1.0)
-    return np.clip(1.0 - np.abs(spot[:, None] - np.arange(KNOTS)), 0.0, 1.0)
+def _hats(x: FloatArray, at: FloatArray) -> FloatArray:
+    """Each knot's weight (N, knots) at x."""
+    return np.column_stack([np.interp(x, at, one) for one in np.eye(len(at))])
 
 
-def knots_over(
-    x: FloatArray, between: tuple[float, float] = (0.005, 0.995)
-) -> tuple[float, float, NDArray[np.bool_]]:
-    """Where the first knot lies, how far from it the last one, and which (KNOTS,) of them have seen enough of x (N,) to
-    be fitted; `between` two quantiles of it they lie."""
-    low, high = (float(q) for q in np.quantile(x, between))
-    span = max(high - low, 1e-6)
-    return low, span, _hats(x, low, span).sum(axis=0) > _SEEN * len(x) / KNOTS
+def _where_it_bends(at: FloatArray, heights: FloatArray) -> FloatArray:
+    """Where to put the knots (KNOTS,) of a line: half of them evenly, half where a finer one bends.
+
+    Straight lines miss a curve least where their knots lie as densely as the root of its second derivative (de Boor,
+    A Practical Guide to Splines, 1978, ch. III).
+    """
+    dense = np.sqrt(np.pad(np.abs(np.diff(heights, 2)), 1, "edge"))
+    steps = dense[1:] + dense[:-1]
+    reached = np.concatenate([[0.0], np.cumsum(steps + max(steps.mean(), 1e-300))])
+    return np.asarray(np.interp(np.linspace(0.0, reached[-1], KNOTS), reached, at))
 
 
 def _smooth(columns: FloatArray, torque: FloatArray, weight: float = 3.0) -> FloatArray:
@@ -346,8 +349,6 @@ def _first_line(
     prefix = f"unknown_{term.kind}"
     variable = "time" if term.kind == "drag" else term.kind
     x = means[variable]
-    low, span, seen = knots_over(x, (0.0, 1.0)) if variable in ("time", "input") else knots_over(x)
-    columns = _hats(x, low, span)
     weight = np.ones(len(x))
     if term.kind == "velocity":
         weight = -weight
@@ -357,18 +358,26 @@ def _first_line(
         weight = values["input_gain"] * weight
     # A first model without the right physics may end where the command does nothing.
     size = float(np.sqrt(np.mean(weight**2))) or math.inf
-    heights = _smooth(columns * (weight / size)[:, None], _clipped(means["torque"])) / size
-    start = {n: float(h) for n, h in zip(names(prefix), heights, strict=True)}
+
+    def drawn(at: FloatArray) -> FloatArray:
+        return _smooth(_hats(x, at) * (weight / size)[:, None], _clipped(means["torque"])) / size
+
+    between = (0.0, 1.0) if variable in ("time", "input") else (0.005, 0.995)
+    low, high = (float(q) for q in np.quantile(x, between))
+    fine = np.linspace(low, max(high, low + 1e-6), FINE)
+    at = _where_it_bends(fine, drawn(fine))
+    seen = _hats(x, at).sum(axis=0) > _SEEN * len(x) / KNOTS
     free = tuple(n for n, s in zip(names(prefix), seen, strict=True) if s)
-    return {**start, f"{prefix}_from": low, f"{prefix}_span": span}, free
+    return through(prefix, at.tolist(), drawn(at).tolist()), free
 
 
 def _bridged(values: Mapping[str, float], prefix: str, free: Sequence[str]) -> dict[str, float]:
     """Knots that saw too little, on the straight line through the nearest two that did not."""
     knots = names(prefix)
+    at = np.array(spots(prefix, values))
     sure = [i for i, n in enumerate(knots) if n in free]
-    through = make_interp_spline(sure, [values[knots[i]] for i in sure], k=min(len(sure) - 1, 1))
-    return {**values, **{n: float(v) for n, v in zip(knots, through(np.arange(KNOTS)), strict=True)}}
+    straight = make_interp_spline(at[sure], [values[knots[i]] for i in sure], k=min(len(sure) - 1, 1))
+    return {**values, **dict(zip(knots, straight(at).tolist(), strict=True))}
 
 
 def sketch(cases: Sequence[Case], base: Point, term: Term) -> Point:

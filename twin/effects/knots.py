@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import accumulate, pairwise
 from typing import Any
 
 from twin.quantities import Parameter
@@ -16,32 +17,51 @@ def names(prefix: str) -> tuple[str, ...]:
     return tuple(f"{prefix}_{i:02d}" for i in range(1, KNOTS + 1))
 
 
-def values(prefix: str, p: Any) -> list[Any]:
-    return [getattr(p, n) for n in names(prefix)]
+def widths(prefix: str) -> tuple[str, ...]:
+    """Names of the distances from each knot to the next, in order: prefix_width_01, prefix_width_02, ..."""
+    return tuple(f"{prefix}_width_{i:02d}" for i in range(1, KNOTS))
 
 
 def parameters(prefix: str, unit: str, over: str, over_unit: str, start: float, span: float) -> tuple[Parameter, ...]:
-    """The values, and the range over which the knots lie evenly; what the line does outside is the law's to say."""
+    """The values at the knots, and where these lie; what the line does outside is the law's to say."""
+    each = span / (KNOTS - 1)
     return (
         *(Parameter(n, unit, f"value at knot {i} of {KNOTS}", 0.0) for i, n in enumerate(names(prefix), 1)),
         Parameter(f"{prefix}_from", over_unit, f"{over} at the first knot", None, start=start, estimated=False),
-        Parameter(
-            f"{prefix}_span", over_unit, f"{over} from the first knot to the last", None, 1e-6, start=span,
-            estimated=False,
+        *(
+            Parameter(n, over_unit, f"{over} from knot {i} to the next", None, 1e-9, start=each, estimated=False)
+            for i, n in enumerate(widths(prefix), 1)
         ),
     )  # fmt: skip
 
 
-def line(x: Any, first: Any, span: Any, heights: Sequence[Any]) -> Any:
-    """The line through evenly spaced knots at x; outside it goes on as it ends, as most torques do."""
-    spot = (len(heights) - 1) * (x - first) / span
-    last = len(heights) - 1
-    total = heights[0] + (heights[1] - heights[0]) * minimum(1.0, spot)
-    for i in range(2, last):
-        total = total + (heights[i] - heights[i - 1]) * maximum(0.0, minimum(1.0, spot - (i - 1)))
-    return total + (heights[last] - heights[last - 1]) * maximum(0.0, spot - (last - 1))
+def through(prefix: str, at: Sequence[float], heights: Sequence[float]) -> dict[str, float]:
+    """The parameters of a line through these knots, from the lowest on."""
+    between = [float(b - a) for a, b in pairwise(at)]
+    values = dict(zip(names(prefix), map(float, heights), strict=True))
+    return {**values, f"{prefix}_from": float(at[0]), **dict(zip(widths(prefix), between, strict=True))}
 
 
-def held(x: Any, first: Any, span: Any, heights: Sequence[Any]) -> Any:
+def spots(prefix: str, values: Mapping[str, float]) -> list[float]:
+    """Where the knots lie."""
+    return list(accumulate((values[n] for n in widths(prefix)), initial=values[f"{prefix}_from"]))
+
+
+def line(x: Any, prefix: str, p: Any) -> Any:
+    """The line through the knots at x; outside it goes on as it ends, as most torques do."""
+    heights = [getattr(p, n) for n in names(prefix)]
+    between = [getattr(p, n) for n in widths(prefix)]
+    beyond, total, last = x - getattr(p, f"{prefix}_from"), heights[0], len(between) - 1
+    for i, width in enumerate(between):
+        part = beyond if i == 0 else maximum(0.0, beyond)
+        part = part if i == last else minimum(width, part)
+        total = total + (heights[i + 1] - heights[i]) / width * part
+        beyond = beyond - width
+    return total
+
+
+def held(x: Any, prefix: str, p: Any) -> Any:
     """The same, level outside: what has become of a machine by the end stays."""
-    return line(maximum(first, minimum(first + span, x)), first, span, heights)
+    first = getattr(p, f"{prefix}_from")
+    span = sum(getattr(p, n) for n in widths(prefix))
+    return line(maximum(first, minimum(first + span, x)), prefix, p)

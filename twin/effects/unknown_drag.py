@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect
-from twin.effects.knots import held, parameters, values
+from twin.effects.knots import held, parameters
 
 
 def law(q: Any, p: Any) -> Any:
-    return -q.velocity * held(q.time, p.unknown_drag_from, p.unknown_drag_span, values("unknown_drag", p))
+    return -q.velocity * held(q.time, "unknown_drag", p)
 
 
 EFFECT = Effect(

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect
-from twin.effects.knots import line, parameters, values
+from twin.effects.knots import line, parameters
 
 
 def law(q: Any, p: Any) -> Any:
-    return q.command + line(q.command, p.unknown_input_from, p.unknown_input_span, values("unknown_input", p))
+    return q.command + line(q.command, "unknown_input", p)
 
 
 EFFECT = Effect(

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect
-from twin.effects.knots import line, parameters, values
+from twin.effects.knots import line, parameters
 
 
 def law(q: Any, p: Any) -> Any:
-    return line(q.position, p.unknown_position_from, p.unknown_position_span, values("unknown_position", p))
+    return line(q.position, "unknown_position", p)
 
 
 EFFECT = Effect(

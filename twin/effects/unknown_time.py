@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect
-from twin.effects.knots import held, parameters, values
+from twin.effects.knots import held, parameters
 
 
 def law(q: Any, p: Any) -> Any:
-    return held(q.time, p.unknown_time_from, p.unknown_time_span, values("unknown_time", p))
+    return held(q.time, "unknown_time", p)
 
 
 EFFECT = Effect(

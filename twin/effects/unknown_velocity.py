@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect
-from twin.effects.knots import line, parameters, values
+from twin.effects.knots import line, parameters
 
 
 def law(q: Any, p: Any) -> Any:
-    return -line(q.velocity, p.unknown_velocity_from, p.unknown_velocity_span, values("unknown_velocity", p))
+    return -line(q.velocity, "unknown_velocity", p)
 
 
 EFFECT = Effect(
