@@ -367,6 +367,17 @@ def test_nothing_is_drawn_of_what_chance_makes():
         assert unknown.which_terms(replace(left(0.3, p_value, 0.4), dependences=(seen,))) == terms
 
 
+def test_what_two_variables_predict_may_be_a_curve_over_either():
+    """Friction that is larger one way is a curve over speed; on a few commands a change over time follows it, too."""
+    seen = (
+        unknown.Dependence("time", ("time",), 0.57, 9.0, 0.4),
+        unknown.Dependence("input, velocity", ("input", "velocity"), 0.47, 9.0, 0.4),
+        unknown.Dependence("velocity, time", ("velocity", "time"), 0.45, 9.0, 0.4),
+    )
+    terms = unknown.which_terms(replace(left(0.57, 1e-9, 0.4), dependences=seen))
+    assert terms == [Term(kind) for kind in ("time", "drag", "input", "velocity")]
+
+
 def test_verdicts():
     much, little, chance = left(0.6, 1e-9, 1.0), left(0.03, 1e-5, 0.1), left(0.3, 0.2, 0.4)
     assert unknown.verdict(False, little, little) == "nothing_missing"

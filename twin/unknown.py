@@ -406,7 +406,8 @@ def finish(cases: Sequence[Case], sketched: Point) -> Point:
 #: What can draw the tables that are not drawn by the term over their first variable.
 _DRAWN = {
     "direction": ("velocity",), "since reversal": ("position",), "acceleration": ("input",), "angle, push": ("push",),
-    "angle, input": ("gain",), "position, input": ("gain",), "velocity, time": ("drag",), "time": ("time", "drag"),
+    "angle, input": ("gain",), "position, input": ("gain",), "input, velocity": ("input", "velocity"),
+    "velocity, time": ("velocity", "drag"), "time": ("time", "drag"),
 }  # fmt: skip
 
 
@@ -418,7 +419,7 @@ def terms_for(table: str) -> list[Term]:
     return [Term(kind) for kind in _DRAWN.get(table, (table.split(", ")[0],))]
 
 
-def which_terms(found: Leftover, most: int = 3) -> list[Term]:
+def which_terms(found: Leftover, most: int = 5) -> list[Term]:
     """The terms worth fitting, the most telling first, with a share near the best; none where chance does as well."""
     telling = [d for d in found.dependences if d.share > 0.3 * found.share] if found.p_value < SURE else []
     return list(dict.fromkeys(t for d in telling for t in terms_for(d.table)))[:most]
