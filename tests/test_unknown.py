@@ -72,8 +72,8 @@ PLANTED = through("unknown_position", SPOTS, bump(SPOTS))
 NARROW = np.array([-6.0, -5.0, -4.0, -3.0, -2.0, -1.0, -0.7, -0.3, 0.1, 1.0, 2.0, 3.0])
 SHARP = through("unknown_position", NARROW, np.where(NARROW == -0.3, 4.0, 0.0))
 #: Grease that warms: viscous friction that falls from 3 to 2 per second with a time constant of 8 s.
-HOURS = np.linspace(0.0, 30.0, KNOTS)
-WARMING = through("unknown_drag", HOURS, np.exp(-HOURS / 8.0))
+TIMES = np.linspace(0.0, 30.0, KNOTS)
+WARMING = through("unknown_drag", TIMES, np.exp(-TIMES / 8.0))
 #: Drag that is felt around one speed only, either way.
 SPEEDS = np.linspace(-8.0, 8.0, KNOTS)
 HUMP = through("unknown_velocity", SPEEDS, 2.5 * np.sign(SPEEDS) * np.exp(-((np.abs(SPEEDS) - 4.0) ** 2)))

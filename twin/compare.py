@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 PRICE = 3.0
 #: Gain in the criterion, in units of what is added, below which nothing is said to be missing: real rigs differ from
 #: every model a little, and the best of twenty candidates is not one candidate. Where nothing is missing in
-#: scripts/blind_trial.py the best candidate earned 18.5, 15.3 and 9.3 (seeds 33053 and 61091), the others less; beside
+#: scripts/blind_trial.py the best candidate earned 18.5, 15.7 and 15.3 (seeds 33053 and 61091), the others less; beside
 #: a true name (circuit, seed 59083) what was not there earned up to 21.6, and as many earned 10 to 22 that were there.
 LEAST = 22.0
 #: Chance that what passes for one of the candidates is something that none of them describes, and units that count as

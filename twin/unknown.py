@@ -358,17 +358,19 @@ def _first_line(
         weight = values["input_gain"] * weight
     # A first model without the right physics may end where the command does nothing.
     size = float(np.sqrt(np.mean(weight**2))) or math.inf
+    torque = _clipped(means["torque"])
 
-    def drawn(at: FloatArray) -> FloatArray:
-        return _smooth(_hats(x, at) * (weight / size)[:, None], _clipped(means["torque"])) / size
+    def drawn(columns: FloatArray) -> FloatArray:
+        return _smooth(columns * (weight / size)[:, None], torque) / size
 
     between = (0.0, 1.0) if variable in ("time", "input") else (0.005, 0.995)
     low, high = (float(q) for q in np.quantile(x, between))
     fine = np.linspace(low, max(high, low + 1e-6), FINE)
-    at = _where_it_bends(fine, drawn(fine))
-    seen = _hats(x, at).sum(axis=0) > _SEEN * len(x) / KNOTS
+    at = _where_it_bends(fine, drawn(_hats(x, fine)))
+    columns = _hats(x, at)
+    seen = columns.sum(axis=0) > _SEEN * len(x) / KNOTS
     free = tuple(n for n, s in zip(names(prefix), seen, strict=True) if s)
-    return through(prefix, at.tolist(), drawn(at).tolist()), free
+    return through(prefix, at.tolist(), drawn(columns).tolist()), free
 
 
 def _bridged(values: Mapping[str, float], prefix: str, free: Sequence[str]) -> dict[str, float]:
