@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from twin import experiment, kernel, likelihood, ready
 from twin.axis import BASE, Structure
+from twin.effects import knots
 from twin.errors import BadInput
 from twin.experiment import Limits, library, separate, sharpen
 from twin.likelihood import Case, Point
@@ -203,6 +204,17 @@ def test_a_missing_reversal_is_asked_for_and_does_what_was_promised():
     before = np.sqrt(np.diag(point.covariance)) / sizes
     assert before.max() > 1.0
     assert relative.max() < 3.0 * experiment._KNOWN
+
+
+def test_a_knot_that_is_known_worst_says_where_it_lies():
+    """Its number alone leaves the reader to add up twelve widths."""
+    at = np.array([-30.0, -20.0, -12.0, -6.0, -3.0, -1.0, 1.0, 3.0, 6.0, 12.0, 20.0, 30.0])
+    structure, name = structure_of("unknown_velocity"), "unknown_velocity_10"
+    values = {**VALUES, **knots.through("unknown_velocity", at, 0.01 * np.abs(at) * at)}
+    # At this duty the axis comes to some 4 rad/s: not near the tenth knot.
+    case = likelihood.prepare(played((), *steps()), structure)
+    point = likelihood.evaluate([case], structure, values, DENSITY, (*ready.free_parameters(structure_of()), name))
+    assert "unknown_velocity_10 (value at knot 10 of 12, at 12 rad/s)" in sharpen(point, [case], Limits()).why
 
 
 def rested(point: Point, case: Case, signal: experiment.Signal) -> np.ndarray:

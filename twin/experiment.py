@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 
 from twin import compare, kernel, likelihood
 from twin.axis import EVERYTHING, Structure
+from twin.effects import knots
 from twin.effects.catalogue import EFFECTS
 from twin.errors import BadInput
 from twin.finding import Experiment
@@ -740,12 +741,17 @@ def sharpen(point: Point, cases: Sequence[Case], limits: Limits | None = None) -
 
     plan = _compose(bench, [pair], shortfall)
     name = point.free[int(sought[worst])]
-    parameter = next(p for p in point.structure.parameters if p.name == name)
+    parameters = {p.name: p for p in point.structure.parameters}
     axis = "rad" if bench.template.output_unit.startswith("rad") else "m"
-    unit = parameter.unit_for(axis, bench.template.input_unit)
-    unit = "" if unit == "1" else f" {unit}"
+
+    def unit_of(name: str) -> str:
+        unit = parameters[name].unit_for(axis, bench.template.input_unit)
+        return "" if unit == "1" else f" {unit}"
+
+    unit, seat = unit_of(name), knots.seat(name, point.values)
+    at = f", at {seat[1]:.3g}{unit_of(seat[0])}" if seat else ""
     size = float(sizes[sought[worst]])
-    known = f"The worst-known parameter is {name} ({parameter.meaning})"
+    known = f"The worst-known parameter is {name} ({parameters[name].meaning}{at})"
     if plan.trial is None:
         return Experiment(f"{known}; no input within these limits fixes it better. Allow more input, travel or time.")
     after = float(errors(plan.ledger)[worst])

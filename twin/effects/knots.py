@@ -47,6 +47,13 @@ def spots(prefix: str, values: Mapping[str, float]) -> list[float]:
     return list(accumulate((values[n] for n in widths(prefix)), initial=values[f"{prefix}_from"]))
 
 
+def seat(name: str, values: Mapping[str, float]) -> tuple[str, float] | None:
+    """Of the value at a knot: the name of the parameter that starts its line, and where the knot lies; else None."""
+    prefix, _, number = name.rpartition("_")
+    start = f"{prefix}_from"
+    return (start, spots(prefix, values)[int(number) - 1]) if start in values and number.isdigit() else None
+
+
 def line(x: Any, prefix: str, p: Any) -> Any:
     """The line through the knots at x; outside it goes on as it ends, as most torques do."""
     heights = [getattr(p, n) for n in names(prefix)]
