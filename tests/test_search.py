@@ -160,6 +160,25 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
             assert plausible(cases, point) is right, (effect, value)
 
 
+def test_a_spring_that_is_bent_into_a_constant_is_no_rival_to_one() -> None:
+    """It fits as well with its rest far outside the travel, and would halve the probability of what is there."""
+    rng = np.random.default_rng(6)
+    plain = Structure.of(["inertia", "viscous_friction", "dead_band"])
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
+    time, count = 0.002 * np.arange(6000), 2.0 * np.pi / 16384.0
+    duty = np.where(time % 1.0 < 0.5, steps(rng, len(time), 500, 40.0), 0.0)
+    shaken = duty + 0.05 * rng.standard_normal(len(time))
+    for planted in ({"offset": 0.3}, {"spring_stiffness": 0.3, "spring_rest": 0.5}):
+        there = plain.with_("constant_offset" if "offset" in planted else "spring")
+        y, _ = run(there, values | planted, time, shaken)
+        recording = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
+        cases = [likelihood.prepare(recording, plain)]
+        before = explain.settle(cases, plain, values, {}, likelihood.density_of(cases[0], 0.1))
+        found = explain.compete(cases, before, [], ("constant_offset", "spring"), {})
+        assert found.won and found.rivals[0].added == there.named[-1:]
+        assert (("spring",) in [h.added for h in found.rivals]) is ("offset" not in planted)
+
+
 def test_where_a_recording_begins_is_no_stop() -> None:
     time = 0.002 * np.arange(2500)
     rising = Recording("rising", time, np.full(2500, 30.0), 3.0 * (1.0 - np.cos(time)), "%", "rad", 1e-4)

@@ -87,7 +87,8 @@ def contest(cases: Sequence[Case], base: Point, candidates: Sequence[str]) -> li
 class Round:
     """One addition: the model before, the rivals (the best first), and what a unit of deviance is worth among them.
 
-    `won` says whether the first of the rivals has earned its place.
+    `won` says whether the first of the rivals has earned its place. Where every candidate was bent into something
+    else there are none.
     """
 
     before: Point
@@ -340,13 +341,12 @@ def compete(
             keep(list(pool.map(lambda h: Hypothesis(h.added, relocated(cases, h.point, held)), rough)))
             pairs = itertools.permutations([h for h in leading(EACH) if h.deviance < bar], 2)
             keep(list(pool.map(lambda pair: _in_place_of(cases, pair[0], pair[1], structure, held), pairs)))
-    unbent = [h for h in leading(len(best)) if plausible(cases, h.point)]
-    unit = compare.worth([before, *(h.point for h in unbent[:1])])
-    ranked = sorted(best.values(), key=lambda h: compare.criterion(h.point, unit))
-    sound = [h for h in ranked if h in unbent]
-    rivals = [*sound, *(h for h in ranked if h not in sound)]
+    # What is bent into something else, as a spring into a constant, is no rival to anything.
+    sound = [h for h in leading(len(best)) if plausible(cases, h.point)]
+    unit = compare.worth([before, *(h.point for h in sound[:1])])
+    rivals = sorted(sound, key=lambda h: compare.criterion(h.point, unit))
     winner = None
-    for h in sound:
+    for h in rivals:
         before, stands = _tested(cases, before, h, held)
         if not stands and compare.earns(before, h.point):
             moved = relocated(cases, h.point, held)
@@ -356,6 +356,6 @@ def compete(
         if stands:
             winner = h
             break
-    first = rivals[0] if winner is None else winner
-    rivals = [first, *(h for h in rivals if h.added != first.added)]
-    return Round(before, tuple(rivals), compare.worth([before, first.point]), winner is not None)
+    if winner is not None:
+        rivals = [winner, *(h for h in rivals if h.added != winner.added)]
+    return Round(before, tuple(rivals), compare.worth([before, *(h.point for h in rivals[:1])]), winner is not None)

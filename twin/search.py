@@ -94,10 +94,10 @@ def _grown(
         best = explain.relocated(cases, explain.rejudged(cases, best, held), held) if rounds else best
         this = explain.compete(cases, best, known, open_, held)
         rounds.append(this)
-        best, winner = this.before, this.rivals[0].point
         if not this.won:
+            best = this.before
             break
-        best = _plainer(cases, this, held)
+        winner, best = this.rivals[0].point, _plainer(cases, this, held)
         known = [] if best is winner else [this.rivals[0]]
     return best, rounds
 
@@ -199,7 +199,7 @@ def _swapped(
         contest = contest_of(rounds, last.structure, effect)
         margin = max(UNSURE, NARROW * contest.gain)
         for h, behind in contest.rivals:
-            if behind < margin and plausible(cases, h.point):
+            if behind < margin:
                 rest = last.structure.without(effect, *last.structure.brought_by(effect))
                 own, other = h.point, rest.with_(*h.added)
                 starts = ({**own.values, **last.values}, {**last.values, **own.values})
