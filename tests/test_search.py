@@ -373,3 +373,77 @@ def test_a_delay_is_judged_where_a_few_steps_from_its_start_lead() -> None:
     assert begun > base.deviance
     assert best.values["delay"] == pytest.approx(0.001, abs=2e-4)
     assert best.promise > 0.9 * (base.deviance - explain.settle(cases, longer, best.values, {}, base.density).deviance)
+
+
+def fitted(deviance: float, *effects: str, unit: float = 1.0) -> likelihood.Point:
+    """A point that nothing was fitted for; a unit of its deviance is worth so little."""
+    structure, normal, scatter = Structure.of([*BASE, *effects]), np.eye(1), np.eye(1) * unit
+    return likelihood.Point(
+        structure, {"input_gain": 0.3}, 1.0, ("input_gain",), deviance, 1.0, normal, np.zeros(1), scatter
+    )
+
+
+def hypothesis(deviance: float, *effects: str, unit: float = 1.0) -> explain.Hypothesis:
+    return explain.Hypothesis(effects[-1:], fitted(deviance, *effects, unit=unit))
+
+
+def test_two_effects_that_earn_a_place_only_together_are_found(monkeypatch) -> None:
+    """Alone each leaves errors that hang together, so that what it does counts for little; but it is a way on."""
+    before = fitted(0.0, unit=50.0)
+    alone = [hypothesis(-500.0, "spring", unit=50.0), hypothesis(-800.0, "gravity", unit=50.0)]
+    lost = explain.Round(before, (alone[1], alone[0]), 50.0, False)
+    pair = hypothesis(-3000.0, "gravity", "input_delay")
+    looked = {("gravity",): pair, ("spring",): hypothesis(-600.0, "spring", "motor_lag", unit=50.0)}
+    followed: list[tuple[str, ...]] = []
+
+    def compete(cases, stone, known, candidates, held):
+        followed.append(stone.structure.named)
+        assert set(candidates).isdisjoint(stone.structure.named) and known[0].point is pair.point
+        return explain.Round(stone, tuple(known), 1.0, True)
+
+    monkeypatch.setattr(explain, "plausible", lambda cases, point: True)
+    monkeypatch.setattr(explain, "contest", lambda cases, base, candidates: [looked[base.structure.named]])
+    monkeypatch.setattr(explain, "relocated", lambda cases, point, held: point)
+    monkeypatch.setattr(explain, "compete", compete)
+    first, second = explain.beyond((), lost, CANDIDATES, {})
+    assert followed == [("gravity",)]
+    assert first.won and first.before is before and [h.added for h in first.rivals] == [("gravity",), ("spring",)]
+    assert second.won and second.before is first.rivals[0].point and second.rivals[0].point is pair.point
+    # A rival that hardly pays for itself is no way on, and two that together earn too little are none.
+    assert explain.beyond((), replace(lost, rivals=(hypothesis(-100.0, "spring", unit=50.0),)), CANDIDATES, {}) == ()
+    looked[("gravity",)] = hypothesis(-20.0, "gravity", "input_delay")
+    assert explain.beyond((), replace(lost, rivals=alone[1:]), CANDIDATES, {}) == ()
+
+
+def test_a_lost_round_is_looked_at_with_a_filter_that_forgets_sooner(monkeypatch) -> None:
+    before, seen = fitted(0.0, unit=10.0), hypothesis(-4000.0, "load_change", unit=10.0)
+    weak = hypothesis(-100.0, "thermal_fade", unit=10.0)
+    monkeypatch.setattr(explain, "plausible", lambda cases, point: True)
+    monkeypatch.setattr(explain, "_from_brief", lambda cases, base, candidates, held: [seen])
+    monkeypatch.setattr(explain, "settle", lambda cases, structure, values, held, density: before)
+    monkeypatch.setattr(explain, "shows", lambda cases, smaller, larger: True)
+    lost = explain.Round(before, (weak,), 10.0, False)
+    found = explain.again((), lost, CANDIDATES, {})
+    assert found.won and found.rivals == (seen, weak)
+    # Where innovations are white there is no bounce that a shorter memory would forget.
+    white = replace(lost, unit=0.9 * explain.WHITE)
+    assert explain.again((), white, CANDIDATES, {}) is white
+    idle = replace(lost, rivals=(hypothesis(-20.0, "thermal_fade", unit=10.0),))
+    assert explain.again((), idle, CANDIDATES, {}) is idle
+
+
+def test_a_valley_of_the_bounces_is_left_by_way_of_shorter_memories(monkeypatch) -> None:
+    """From the same place a filter that remembers for long would stay where it is."""
+    recording = Recording("none", 0.002 * np.arange(500), np.zeros(500), np.zeros(500), "%", "rad", 1e-4)
+    cases = [likelihood.prepare(recording, Structure.of(BASE))]
+    asked = []
+
+    def settle(cases, structure, values, held, density):
+        asked.append((values["at"], round(likelihood.memory_of(cases[0], density), 6)))
+        return replace(fitted(0.0), values={"at": len(asked)})
+
+    monkeypatch.setattr(explain, "settle", settle)
+    for memory, way in ((0.1, (*explain.BRIEF, 0.1)), (0.03, (explain.BRIEF[0], 0.03)), (0.01, (0.01,))):
+        asked.clear()
+        explain.lengthened(cases, Structure.of(BASE), {"at": 0}, {}, likelihood.density_of(cases[0], memory))
+        assert asked == list(enumerate(way))

@@ -40,10 +40,14 @@ NEAR, FAR = 4, 2
 CLOSE, HOPE = 0.4, 0.25
 #: So many of the best take each other's place where the likelihood is rough.
 EACH = 3
+#: So many of the best rivals of a lost round does it look beyond: a second effect may show only beside the first.
+STONES = 2
 #: So often at most does a round begin again from a smaller model that its rivals have shown a better place.
 AGAIN = 3
 #: The least memory of a filter that judges, s.
 MEMORY = 0.1
+#: Memories by way of which it is lengthened, s: a bounce is over by then.
+BRIEF = (0.02, 0.05)
 #: Noise densities within this factor judge alike.
 ALIKE = 1.5
 #: Where a unit of deviance is worth less than so many, innovations are white and what they say needs no second filter.
@@ -160,6 +164,16 @@ def deepen(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Po
     return min(point, other, key=lambda p: p.deviance)
 
 
+def lengthened(
+    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float], density: float
+) -> Point:
+    """The maximum at a noise density by way of shorter memories, to which what moves a bounce makes no valley."""
+    for memory in BRIEF:
+        if memory < likelihood.memory_of(cases[0], density):
+            values = settle(cases, structure, values, held, likelihood.density_of(cases[0], memory)).values
+    return settle(cases, structure, values, held, density)
+
+
 def sharpened(cases: Sequence[Case], point: Point) -> Point:
     """The point, with a longer memory where the recording asks for one: the model then is right for longer."""
     mine = ready.with_steps(cases, point.structure)
@@ -246,6 +260,26 @@ def from_afar(
         return list(pool.map(fitted, far[:FAR]))
 
 
+def _from_brief(
+    cases: Sequence[Case], before: Point, candidates: Sequence[str], held: Mapping[str, float]
+) -> list[Hypothesis]:
+    """The most promising of what is seen by a filter that forgets before a bounce ends, fitted in full.
+
+    Where much is missing the motor does not bounce where the model has it bounce, and a filter that remembers for
+    longer leads an effect that is there into a valley of the bounces.
+    """
+    brief = likelihood.density_of(cases[0], BRIEF[0])
+    near = contest(cases, settle(cases, before.structure, before.values, held, brief), candidates)
+
+    def fitted(h: Hypothesis) -> Hypothesis:
+        found = lengthened(cases, h.point.structure, h.point.values, held, before.density)
+        promises = compare.earned(before, found) > HOPE * compare.LEAST
+        return Hypothesis(h.added, relocated(cases, found, held) if promises else found)
+
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(fitted, near[:FAR]))
+
+
 def _alike(effect: str, winner: Hypothesis) -> bool:
     """Whether the effect is one that the winner is confused with."""
     other = winner.added[0]
@@ -302,9 +336,7 @@ def compete(
     best: dict[tuple[str, ...], Hypothesis] = {}
 
     def keep(found: Sequence[Hypothesis]) -> None:
-        for h in found:
-            # What is bent into something else must not oust what is still itself.
-            best[h.added] = min(best.get(h.added, h), h, key=lambda o: (not plausible(cases, o.point), o.deviance))
+        best.update(_best(cases, [*best.values(), *found]))
 
     def leading(most: int) -> list[Hypothesis]:
         return sorted(best.values(), key=lambda h: h.deviance)[:most]
@@ -341,8 +373,61 @@ def compete(
             keep(list(pool.map(lambda h: Hypothesis(h.added, relocated(cases, h.point, held)), rough)))
             pairs = itertools.permutations([h for h in leading(EACH) if h.deviance < bar], 2)
             keep(list(pool.map(lambda pair: _in_place_of(cases, pair[0], pair[1], structure, held), pairs)))
+    return _judged(cases, before, list(best.values()), held)
+
+
+def _hopeful(this: Round) -> list[Hypothesis]:
+    """The rivals that do something, if too little."""
+    hoped = compare.criterion(this.before, this.unit) - HOPE * compare.LEAST
+    return [h for h in this.rivals if compare.criterion(h.point, this.unit) < hoped]
+
+
+def again(cases: Sequence[Case], this: Round, candidates: Sequence[str], held: Mapping[str, float]) -> Round:
+    """A lost round once more, with what a filter sees that forgets sooner; where all is white that is no more, and
+    where no effect does anything it is nothing.
+    """
+    if this.won or this.unit < WHITE or not _hopeful(this):
+        return this
+    found = _from_brief(cases, this.before, candidates, held)
+    return _judged(cases, this.before, list(_best(cases, [*this.rivals, *found]).values()), held)
+
+
+def beyond(
+    cases: Sequence[Case], this: Round, candidates: Sequence[str], held: Mapping[str, float]
+) -> tuple[Round, ...]:  # fmt: skip
+    """The two rounds that a lost one becomes where two effects together earn what neither does alone, or none.
+
+    What one effect leaves undone correlates the innovations, so that what the other does counts for little.
+    """
+    pairs = []
+    for stone in _hopeful(this)[:STONES]:
+        more = contest(cases, stone.point, [c for c in candidates if c not in stone.point.structure])[:1]
+        pairs += [(stone, Hypothesis(h.added, relocated(cases, h.point, held))) for h in more]
+    for stone, second in sorted(pairs, key=lambda pair: pair[1].deviance):
+        if compare.earns(this.before, second.point):
+            rest = [c for c in candidates if c not in stone.point.structure]
+            following = compete(cases, stone.point, [second], rest, held)
+            if following.won and compare.earns(this.before, following.rivals[0].point):
+                first = Hypothesis(stone.added, following.before)
+                others = [h for h in this.rivals if h.added != stone.added]
+                return Round(this.before, (first, *others), this.unit), following
+    return ()
+
+
+def _best(cases: Sequence[Case], found: Sequence[Hypothesis]) -> dict[tuple[str, ...], Hypothesis]:
+    """Of each effect its best fit; what is bent into something else must not oust what is still itself."""
+    best: dict[tuple[str, ...], Hypothesis] = {}
+    for h in found:
+        best[h.added] = min(best.get(h.added, h), h, key=lambda o: (not plausible(cases, o.point), o.deviance))
+    return best
+
+
+def _judged(
+    cases: Sequence[Case], before: Point, found: Sequence[Hypothesis], held: Mapping[str, float]
+) -> Round:  # fmt: skip
+    """The round of these rivals, and its winner: the best that earns its place and shows."""
     # What is bent into something else, as a spring into a constant, is no rival to anything.
-    sound = [h for h in leading(len(best)) if plausible(cases, h.point)]
+    sound = sorted((h for h in found if plausible(cases, h.point)), key=lambda h: h.deviance)
     unit = compare.worth([before, *(h.point for h in sound[:1])])
     rivals = sorted(sound, key=lambda h: compare.criterion(h.point, unit))
     winner = None

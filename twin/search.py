@@ -92,8 +92,10 @@ def _grown(
             break
         tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)
         best = explain.relocated(cases, explain.rejudged(cases, best, held), held) if rounds else best
-        this = explain.compete(cases, best, known, open_, held)
-        rounds.append(this)
+        this = explain.again(cases, explain.compete(cases, best, known, open_, held), open_, held)
+        more = () if this.won else explain.beyond(cases, this, open_, held)
+        rounds += more or [this]
+        this = rounds[-1]
         if not this.won:
             best = this.before
             break
