@@ -12,6 +12,9 @@ Every candidate is looked at from two places. Near: beside the model as it stand
 smallest effect. Far: from contact without compliance, whose likelihood is smooth, so that an effect is found also where
 its lack has led the model astray. The best few are fitted with everything else, and the smaller model is refitted from
 their optimum before they are compared, so that a badly converged model makes no discovery.
+
+A round that is lost although some rivals do a little is looked at from a third place, with a filter that forgets before
+a bounce ends (`again`), and for two effects that earn a place only together (`beyond`).
 """
 
 from __future__ import annotations

@@ -86,14 +86,11 @@ def _grown(
     `known` are rivals of the first round that have been fitted already.
     """
     rounds: list[Round] = []
-    for n in range(MOST):
-        open_ = [c for c in candidates if c not in best.structure]
-        if not open_:
-            break
-        tell(f"round {n + 1}: trying {len(open_)} effects", 0.05 + 0.2 * n)
+    while len(rounds) < MOST and (open_ := [c for c in candidates if c not in best.structure]):
+        tell(f"round {len(rounds) + 1}: trying {len(open_)} effects", 0.05 + 0.2 * len(rounds))
         best = explain.relocated(cases, explain.rejudged(cases, best, held), held) if rounds else best
         this = explain.again(cases, explain.compete(cases, best, known, open_, held), open_, held)
-        more = () if this.won else explain.beyond(cases, this, open_, held)
+        more = () if this.won or len(rounds) + 2 > MOST else explain.beyond(cases, this, open_, held)
         rounds += more or [this]
         this = rounds[-1]
         if not this.won:
