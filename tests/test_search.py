@@ -447,3 +447,30 @@ def test_a_valley_of_the_bounces_is_left_by_way_of_shorter_memories(monkeypatch)
         asked.clear()
         explain.lengthened(cases, Structure.of(BASE), {"at": 0}, {}, likelihood.density_of(cases[0], memory))
         assert asked == list(enumerate(way))
+
+
+@pytest.mark.parametrize(("alone", "effects"), [(0, 4), (1, 3), (2, 4), (3, 3), (4, 4)])
+def test_no_more_effects_than_that_are_looked_for(monkeypatch, alone: int, effects: int) -> None:
+    """So many earn a place alone, and after that always two together, for which there must be room."""
+    names = ("spring", "motor_lag", "gravity", "input_delay", "supply_sag", "thermal_fade")
+    points = [fitted(-100.0 * n, *names[:n]) for n in range(len(names) + 1)]
+
+    def following(before: likelihood.Point, won: bool = True) -> explain.Round:
+        n = len(before.structure.named)
+        return explain.Round(before, (explain.Hypothesis((names[n],), points[n + 1]),), 1.0, won)
+
+    def beyond(cases, this, candidates, held):
+        first = following(this.before)
+        return first, following(first.rivals[0].point)
+
+    def compete(cases, before, known, candidates, held):
+        return following(before, len(before.structure.named) < alone)
+
+    monkeypatch.setattr(explain, "compete", compete)
+    monkeypatch.setattr(explain, "beyond", beyond)
+    monkeypatch.setattr(explain, "again", lambda cases, this, candidates, held: this)
+    monkeypatch.setattr(explain, "rejudged", lambda cases, point, held: point)
+    monkeypatch.setattr(explain, "relocated", lambda cases, point, held: point)
+    monkeypatch.setattr(search, "_plainer", lambda cases, this, held: this.rivals[0].point)
+    best, rounds = search._grown((), points[0], [], names, {}, lambda sentence, share: None)
+    assert len(best.structure.named) == effects == sum(r.won for r in rounds) <= search.MOST
