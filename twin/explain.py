@@ -404,11 +404,11 @@ def beyond(
     """
     pairs = []
     for stone in _hopeful(this)[:STONES]:
-        more = contest(cases, stone.point, [c for c in candidates if c not in stone.point.structure])[:1]
-        pairs += [(stone, Hypothesis(h.added, relocated(cases, h.point, held))) for h in more]
-    for stone, second in sorted(pairs, key=lambda pair: pair[1].deviance):
+        rest = [c for c in candidates if c not in stone.point.structure]
+        for h in contest(cases, stone.point, rest)[:1]:
+            pairs.append((stone, rest, Hypothesis(h.added, relocated(cases, h.point, held))))
+    for stone, rest, second in sorted(pairs, key=lambda pair: pair[-1].deviance):
         if compare.earns(this.before, second.point):
-            rest = [c for c in candidates if c not in stone.point.structure]
             following = compete(cases, stone.point, [second], rest, held)
             if following.won and compare.earns(this.before, following.rivals[0].point):
                 first = Hypothesis(stone.added, following.before)
