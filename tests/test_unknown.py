@@ -324,6 +324,15 @@ def test_what_has_no_name_wins_where_the_names_do_nothing_beside_it(key, name, t
     assert extend._outdone(found, nameless) is outdone
 
 
+def test_a_name_that_a_curve_has_swallowed_grows_again_beside_it():
+    case, first = fitted("humped")
+    last, nameless = with_name(case, first, "coulomb_friction"), with_curve([case], first, Term("velocity"))
+    both = extend._beside(Search(first, last, (), (case,)), nameless)
+    # The curve alone is what it grows from: larger by a parameter, it cannot fit less well.
+    assert both.deviance < nameless.deviance
+    assert both.values["coulomb_friction"] == pytest.approx(3.0, rel=0.2)
+
+
 @pytest.mark.parametrize(
     ("key", "name", "term", "drawn", "verdict"),
     [

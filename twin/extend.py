@@ -157,11 +157,12 @@ def _outdone(found: Search, nameless: Point) -> bool:
     """Whether what has no name is what a recording speaks for: it does more than the names, which beside it do nothing.
 
     Every real friction departs a little from its name, and a curve that may take any shape follows it; but what else
-    the name says, as that friction turns with the motion, the curve does not have.
+    the name says, as that friction turns with the motion, the curve does not have. Names have earned their place
+    before: they keep it where they grow again beside the curve and are worth their parameters.
     """
     if not explain.shows(found.cases, found.last, nameless):
         return False
-    return not compare.earns(nameless, _beside(found, nameless))
+    return compare.ahead(_beside(found, nameless), nameless) <= 0.0
 
 
 def _drawn(found: Search, nameless: Point) -> Search:
@@ -184,15 +185,16 @@ def _kept(found: Search, nameless: Point, verdict: str) -> tuple[Search, str]:
 
 
 def _beside(found: Search, nameless: Point) -> Point:
-    """The names and what has none together, fitted; that alone where nothing was named."""
-    last, kept = found.last, [n for n in found.last.free if n not in found.first.free]
+    """What has no name, and the names grown from nothing beside it; by itself where nothing was named."""
+    last, first = found.last, found.first
     both = nameless.structure.with_(*last.structure.ids)
     if both == nameless.structure:
         return nameless
-    mine, free = ready.with_steps(found.cases, both), tuple(dict.fromkeys((*nameless.free, *kept)))
-    starts = ({**last.values, **nameless.values}, {**nameless.values, **last.values})
-    fits = (likelihood.climb(mine, both, ready.completed(both, v), nameless.density, free) for v in starts)
-    return min(fits, key=lambda p: p.deviance)
+    new = [p for e in last.structure.effects if e not in first.structure.effects for p in e.parameters]
+    nothing = {p.name: p.neutral for p in new if p.neutral is not None}
+    mine, kept = ready.with_steps(found.cases, both), [n for n in last.free if n not in first.free]
+    begun = ready.completed(both, {**last.values, **nameless.values, **nothing})
+    return likelihood.climb(mine, both, begun, nameless.density, tuple(dict.fromkeys((*nameless.free, *kept))))
 
 
 def _next(found: Search) -> Experiment:
