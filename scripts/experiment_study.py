@@ -41,7 +41,7 @@ from excitations import Limits as Range
 from excitations import Signal, paper, rich
 from mujoco_rig import TURN, Rig, draw_effect, draw_rig, simulate
 
-from twin import ascent, compare, explain, likelihood, ready
+from twin import ascent, compare, explain, likelihood, ready, valleys
 from twin.experiment import NEEDED, Limits, separate, sharpen
 from twin.finding import Experiment
 from twin.likelihood import Case, Point
@@ -133,7 +133,7 @@ def fitted(first: Case, recordings: Sequence[Recording], point: Point, *others: 
     added = [replace(in_mesh(c, point), reading_variance=first.reading_variance) for c in added]
     cases = [*ready.with_steps([first], point.structure), *added]
     starts = [{n: p.values.get(n, v) for n, v in point.values.items()} for p in (point, *others)]
-    tried = [explain.settle(cases, point.structure, v, {}, point.density) for v in starts]
+    tried = [valleys.settle(cases, point.structure, v, {}, point.density) for v in starts]
     return min(tried, key=lambda p: p.deviance)
 
 
@@ -142,7 +142,7 @@ def smallest(first: Recording) -> tuple[list[Case], Point, Point]:
     structure = ready.base_structure()
     cases, rough = ascent.start([first], structure, {})
     cases, fine = ascent.polish(cases, ascent.refine(cases, structure, rough, {}))
-    return cases, rough, explain.settle(cases, structure, fine.values, {}, explain.judged(cases, fine))
+    return cases, rough, valleys.settle(cases, structure, fine.values, {}, valleys.judged(cases, fine))
 
 
 # ---- the worst-known parameter ----

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin import compare, explain, kernel, likelihood, meetings, ready, screening, search
+from twin import compare, explain, kernel, likelihood, meetings, ready, screening, search, valleys
 from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES
 from twin.plausibility import plausible
@@ -173,7 +173,7 @@ def test_a_spring_that_is_bent_into_a_constant_is_no_rival_to_one() -> None:
         y, _ = run(there, values | planted, time, shaken)
         recording = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
         cases = [likelihood.prepare(recording, plain)]
-        before = explain.settle(cases, plain, values, {}, likelihood.density_of(cases[0], 0.1))
+        before = valleys.settle(cases, plain, values, {}, likelihood.density_of(cases[0], 0.1))
         found = explain.compete(cases, before, [], ("constant_offset", "spring"), {})
         assert found.won and found.rivals[0].added == there.named[-1:]
         assert (("spring",) in [h.added for h in found.rivals]) is ("offset" not in planted)
@@ -219,8 +219,8 @@ def test_a_weak_torque_shows_although_a_filter_that_forgets_fast_does_not_see_it
     recording = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
     cases = [likelihood.prepare(recording, plain)]
     density = likelihood.density_of(cases[0], 0.1)
-    before = explain.settle(cases, plain, values, {}, density)
-    after = explain.settle(cases, plain.with_("spring"), {**before.values, **weak}, {}, density)
+    before = valleys.settle(cases, plain, values, {}, density)
+    after = valleys.settle(cases, plain.with_("spring"), {**before.values, **weak}, {}, density)
     assert compare.worth([before, after]) < explain.WHITE
     smaller, larger = explain._adapted(cases, before, after, likelihood.density_of(cases[0], 0.025))
     assert not compare.ahead(larger, smaller) > 0.0
@@ -248,7 +248,7 @@ def test_a_rival_stands_where_another_does_with_its_own_effect(monkeypatch) -> N
     def settled(cases, structure, values, held, density):
         return replace(one, structure=structure, values=values)
 
-    monkeypatch.setattr(explain, "settle", settled)
+    monkeypatch.setattr(valleys, "settle", settled)
     moved = explain._in_place_of(
         (), explain.Hypothesis(("motor_lag",), one), explain.Hypothesis(("input_delay",), other), base, {}
     )
@@ -268,7 +268,7 @@ def test_dry_friction_may_be_one_sided_where_nothing_ever_coasts(coasting: bool)
     duty = np.where(time % 0.7 < 0.35, pushed, 0.0) if coasting else pushed
     y, _ = run(plain, values, time, duty + 0.05 * rng.standard_normal(len(time)) * (duty != 0.0))
     cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
-    last = explain.settle(cases, plain, values, {}, likelihood.density_of(cases[0], 0.05))
+    last = valleys.settle(cases, plain, values, {}, likelihood.density_of(cases[0], 0.05))
     first = plain.without("coulomb_friction")
     wider = search._wider(cases, last, first, CANDIDATES, {})
     rivals = {w.rival: w for w in wider}
@@ -298,7 +298,7 @@ def test_what_did_more_than_the_effect_that_it_contains_is_tried_at_its_own_size
     cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), longer)]
     density = likelihood.density_of(cases[0], 0.05)
     first, without, more = (
-        explain.settle(cases, s, values, {}, density) for s in (plain.without("coulomb_friction"), plain, longer)
+        valleys.settle(cases, s, values, {}, density) for s in (plain.without("coulomb_friction"), plain, longer)
     )
     rivals = [explain.Hypothesis(("friction_asymmetry",), more), explain.Hypothesis(("coulomb_friction",), without)]
     rounds = [explain.Round(first, tuple(rivals), 1.0)]
@@ -320,7 +320,7 @@ def test_what_could_stand_for_an_effect_goes_with_it_where_a_larger_one_takes_it
         base.with_("coulomb_friction", "gravity"), {}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing
     )
     larger = replace(last, structure=last.structure.with_("friction_asymmetry"), deviance=-20.0)
-    monkeypatch.setattr(explain, "settle", lambda cases, structure, values, held, density: larger)
+    monkeypatch.setattr(valleys, "settle", lambda cases, structure, values, held, density: larger)
     swaps = [search.Swap("coulomb_friction", "load_dependent_friction", last), search.Swap("gravity", "spring", last)]
     wider = [search.Swap("coulomb_friction", "friction_asymmetry", larger)]
     best, kept = search._widened((), last, swaps, wider, {})
@@ -343,8 +343,8 @@ def test_what_did_not_last_is_followed_by_another_look(monkeypatch) -> None:
     monkeypatch.setattr(search.ascent, "start", lambda recordings, first, held: ([], [base]))
     monkeypatch.setattr(search.ascent, "refine", lambda cases, structure, begun, held: base)
     monkeypatch.setattr(search.ascent, "polish", lambda cases, point: ([], point))
-    monkeypatch.setattr(search.explain, "judged", lambda cases, point: 1.0)
-    monkeypatch.setattr(search.explain, "settle", lambda cases, structure, values, held, density: base)
+    monkeypatch.setattr(valleys, "judged", lambda cases, point: 1.0)
+    monkeypatch.setattr(valleys, "settle", lambda cases, structure, values, held, density: base)
     monkeypatch.setattr(search.explain, "contest", lambda cases, base, candidates: [])
     monkeypatch.setattr(search.explain, "from_afar", lambda cases, far, held, density: ["seen from afar"])
     monkeypatch.setattr(search.screening, "offered", lambda cases, candidates: candidates)
@@ -364,7 +364,7 @@ def test_a_delay_is_judged_where_a_few_steps_from_its_start_lead() -> None:
     duty = steps(rng, len(time), 150, 40.0)
     y, _ = run(plain.with_("input_delay"), values | {"delay": 0.001}, time, duty)
     cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
-    base = explain.settle(cases, plain, values, {}, likelihood.density_of(cases[0], 0.1))
+    base = valleys.settle(cases, plain, values, {}, likelihood.density_of(cases[0], 0.1))
     trials = [{"delay": t} for t in (0.006, 0.015)]
     longer = plain.with_("input_delay")
     begun = min(likelihood.evaluate(cases, longer, {**base.values, **t}, base.density).deviance for t in trials)
@@ -372,7 +372,7 @@ def test_a_delay_is_judged_where_a_few_steps_from_its_start_lead() -> None:
     best = max(screening._direct_starts(cases, base, "input_delay", trials, free), key=lambda s: s.promise)
     assert begun > base.deviance
     assert best.values["delay"] == pytest.approx(0.001, abs=2e-4)
-    assert best.promise > 0.9 * (base.deviance - explain.settle(cases, longer, best.values, {}, base.density).deviance)
+    assert best.promise > 0.9 * (base.deviance - valleys.settle(cases, longer, best.values, {}, base.density).deviance)
 
 
 def fitted(deviance: float, *effects: str, unit: float = 1.0) -> likelihood.Point:
@@ -403,7 +403,7 @@ def test_two_effects_that_earn_a_place_only_together_are_found(monkeypatch) -> N
 
     monkeypatch.setattr(explain, "plausible", lambda cases, point: True)
     monkeypatch.setattr(explain, "contest", lambda cases, base, candidates: [looked[base.structure.named]])
-    monkeypatch.setattr(explain, "relocated", lambda cases, point, held: point)
+    monkeypatch.setattr(valleys, "relocated", lambda cases, point, held: point)
     monkeypatch.setattr(explain, "compete", compete)
     first, second = explain.beyond((), lost, CANDIDATES, {})
     assert followed == [("gravity",)]
@@ -420,7 +420,7 @@ def test_a_lost_round_is_looked_at_with_a_filter_that_forgets_sooner(monkeypatch
     weak = hypothesis(-100.0, "thermal_fade", unit=10.0)
     monkeypatch.setattr(explain, "plausible", lambda cases, point: True)
     monkeypatch.setattr(explain, "_from_brief", lambda cases, base, candidates, held: [seen])
-    monkeypatch.setattr(explain, "settle", lambda cases, structure, values, held, density: before)
+    monkeypatch.setattr(valleys, "settle", lambda cases, structure, values, held, density: before)
     monkeypatch.setattr(explain, "shows", lambda cases, smaller, larger: True)
     lost = explain.Round(before, (weak,), 10.0, False)
     found = explain.again((), lost, CANDIDATES, {})
@@ -442,10 +442,10 @@ def test_a_valley_of_the_bounces_is_left_by_way_of_shorter_memories(monkeypatch)
         asked.append((values["at"], round(likelihood.memory_of(cases[0], density), 6)))
         return replace(fitted(0.0), values={"at": len(asked)})
 
-    monkeypatch.setattr(explain, "settle", settle)
-    for memory, way in ((0.1, (*explain.BRIEF, 0.1)), (0.03, (explain.BRIEF[0], 0.03)), (0.01, (0.01,))):
+    monkeypatch.setattr(valleys, "settle", settle)
+    for memory, way in ((0.1, (*valleys.BRIEF, 0.1)), (0.03, (valleys.BRIEF[0], 0.03)), (0.01, (0.01,))):
         asked.clear()
-        explain.lengthened(cases, Structure.of(BASE), {"at": 0}, {}, likelihood.density_of(cases[0], memory))
+        valleys.lengthened(cases, Structure.of(BASE), {"at": 0}, {}, likelihood.density_of(cases[0], memory))
         assert asked == list(enumerate(way))
 
 
@@ -469,8 +469,8 @@ def test_no_more_effects_than_that_are_looked_for(monkeypatch, alone: int, effec
     monkeypatch.setattr(explain, "compete", compete)
     monkeypatch.setattr(explain, "beyond", beyond)
     monkeypatch.setattr(explain, "again", lambda cases, this, candidates, held: this)
-    monkeypatch.setattr(explain, "rejudged", lambda cases, point, held: point)
-    monkeypatch.setattr(explain, "relocated", lambda cases, point, held: point)
+    monkeypatch.setattr(valleys, "rejudged", lambda cases, point, held: point)
+    monkeypatch.setattr(valleys, "relocated", lambda cases, point, held: point)
     monkeypatch.setattr(search, "_plainer", lambda cases, this, held: this.rivals[0].point)
     best, rounds = search._grown((), points[0], [], names, {}, lambda sentence, share: None)
     assert len(best.structure.named) == effects == sum(r.won for r in rounds) <= search.MOST

@@ -18,7 +18,7 @@ from concealed import Concealed
 from example_diagnosis import RIG, example
 from mujoco_rig import TURN, draw_rig, simulate
 
-from twin import compare, extend, finding, identify, kernel, likelihood, phrases, report, search
+from twin import compare, extend, finding, identify, kernel, likelihood, phrases, report, search, valleys
 from twin.axis import BASE, Structure
 from twin.explain import Hypothesis, Round
 from twin.finding import Diagnosis, Fitness
@@ -135,8 +135,8 @@ def test_a_rival_takes_the_place_only_of_what_it_shows_without(monkeypatch, reac
     close = Round(before, (Hypothesis(("spring",), last), Hypothesis(("gravity",), point(1010.0, "gravity"))), 1.0)
     asked = []
     monkeypatch.setattr(search, "plausible", lambda cases, p: True)
-    monkeypatch.setattr(search.explain, "settle", lambda cases, structure, values, held, density: rival)
-    monkeypatch.setattr(search.explain, "deepen", lambda cases, p, held: p)
+    monkeypatch.setattr(valleys, "settle", lambda cases, structure, values, held, density: rival)
+    monkeypatch.setattr(valleys, "deepen", lambda cases, p, held: p)
     monkeypatch.setattr(search.explain, "shows", lambda cases, without, p: asked.append(without) or shows)
     swaps = search._swapped((), last, [before], [close], {})
     assert len(swaps) == kept and asked == ([before] if reached < 1000.0 + UNSURE else [])

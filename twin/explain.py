@@ -1,12 +1,9 @@
 """Which physics was left out.
 
-Structures compete at one noise density: that of a filter which remembers a tenth of a second, or for longer where the
-model is right for longer. Where it lacks much the likeliest density believes little but the last readings, and so
-forgets the slow part of the misfit, in which physics shows: half as long a memory knows a sixteenth of a constant
-torque, and would drop it again. Innovations hang together over the memory, so that a unit of deviance is worth less;
-what it is worth is measured (`compare.worth`). Where a light motor rattles in its gap, a filter that trusts the model
-for longer than a bounce is led astray by bounces that no model foresees, and rewards whatever moves them: so what is
-added must show to shorter memories, too (`shows`).
+Structures compete at one noise density (`valleys`). Innovations hang together over the filter's memory, so that a unit
+of deviance is worth less; what it is worth is measured (`compare.worth`). Where a light motor rattles in its gap, a
+filter that trusts the model for longer than a bounce is led astray by bounces that no model foresees, and rewards
+whatever moves them: so what is added must show to shorter memories, too (`shows`).
 
 Every candidate is looked at from two places. Near: beside the model as it stands, where the score test sees the
 smallest effect. Far: from contact without compliance, whose likelihood is smooth, so that an effect is found also where
@@ -27,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import ascent, compare, identify, likelihood, meetings, ready, screening
+from twin import compare, identify, likelihood, meetings, ready, screening, valleys
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.likelihood import Case, Point
@@ -47,12 +44,6 @@ EACH = 3
 STONES = 2
 #: So often at most does a round begin again from a smaller model that its rivals have shown a better place.
 AGAIN = 3
-#: The least memory of a filter that judges, s.
-MEMORY = 0.1
-#: Memories by way of which it is lengthened, s: a bounce is over by then.
-BRIEF = (0.02, 0.05)
-#: Noise densities within this factor judge alike.
-ALIKE = 1.5
 #: Where a unit of deviance is worth less than so many, innovations are white and what they say needs no second filter.
 WHITE = 2.0
 #: What is there shows to filters that forget so many times as fast, too, each twice as fast as the one before, down to
@@ -102,89 +93,6 @@ class Round:
     rivals: tuple[Hypothesis, ...]
     unit: float
     won: bool = True
-
-
-def judged(cases: Sequence[Case], point: Point) -> float:
-    """The noise density at which the first round is judged."""
-    return min(likelihood.density_of(cases[0], MEMORY), point.density)
-
-
-def settle(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float], density: float
-) -> Point:
-    """The maximum near these values at a noise density, with everything free that is not held."""
-    structure = ready.with_teeth(structure)
-    mine = ready.with_steps(cases, structure)
-    free = tuple(n for n in ready.free_parameters(structure) if n not in held)
-    full = ready.completed(structure, values) | dict(held)
-    return likelihood.climb(mine, structure, full, density, free, tolerance=0.2)
-
-
-def rejudged(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
-    """The maximum at the noise density that the model asks for, now that it lacks less."""
-    mine = ready.with_steps(cases, point.structure)
-    likeliest = likelihood.best_density(mine, point.structure, point.values, around=point.density)
-    density = min(likelihood.density_of(cases[0], MEMORY), likeliest)
-    if 1.0 / ALIKE < density / point.density < ALIKE:
-        return point
-    return settle(cases, point.structure, point.values, held, density)
-
-
-def retoothed(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float], density: float
-) -> Point:
-    """The maximum near these values with teeth that are looked for anew."""
-    structure = ready.with_teeth(structure)
-    mine = ready.with_steps(cases, structure)
-    seen = ascent.glimpses(mine, structure)
-    begun = ascent.likeliest_teeth(seen, structure, ready.completed(structure, values), density)
-    return settle(cases, structure, begun, held, density)
-
-
-def relocated(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
-    """The point, or a better one where gap, shares and teeth are looked for anew.
-
-    What was missing until now may have led them astray, and no slope leads back.
-    """
-    if not point.structure.toothed:
-        return point
-    rigid = point.structure.without("tooth_compliance")
-    seen = ascent.glimpses(ready.with_steps(cases, rigid), rigid)
-
-    def looked(memory: float) -> Point:
-        rough = ascent.coarse(seen, rigid, ready.completed(rigid, point.values), held, memory)
-        return retoothed(cases, point.structure, {**point.values, **rough.values}, held, point.density)
-
-    with ThreadPoolExecutor(2) as pool:
-        return min([point, *pool.map(looked, ascent.MEMORIES)], key=lambda p: p.deviance)
-
-
-def deepen(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
-    """The point, or a better one by way of the noise density that the recording asks for, where valleys are wider."""
-    mine = ready.with_steps(cases, point.structure)
-    likeliest = likelihood.fit(mine, point.structure, point.values, point.free, point.density, rounds=12)
-    other = settle(cases, point.structure, likeliest.values, held, point.density)
-    return min(point, other, key=lambda p: p.deviance)
-
-
-def lengthened(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float], density: float
-) -> Point:
-    """The maximum at a noise density by way of shorter memories, to which what moves a bounce makes no valley."""
-    for memory in BRIEF:
-        if memory < likelihood.memory_of(cases[0], density):
-            values = settle(cases, structure, values, held, likelihood.density_of(cases[0], memory)).values
-    return settle(cases, structure, values, held, density)
-
-
-def sharpened(cases: Sequence[Case], point: Point) -> Point:
-    """The point, with a longer memory where the recording asks for one: the model then is right for longer."""
-    mine = ready.with_steps(cases, point.structure)
-    density = likelihood.best_density(mine, point.structure, point.values, around=point.density)
-    if density > 0.8 * point.density:
-        return point
-    found = likelihood.fit(mine, point.structure, point.values, point.free, density)
-    return found if found.density < point.density else point
 
 
 def _still(smaller: Point, larger: Point) -> bool:
@@ -244,7 +152,7 @@ def _adapted(cases: Sequence[Case], before: Point, after: Point, density: float)
 
 
 def _finish(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float], density: float) -> Hypothesis:
-    return Hypothesis(h.added, settle(cases, h.point.structure, h.point.values, held, density))
+    return Hypothesis(h.added, valleys.settle(cases, h.point.structure, h.point.values, held, density))
 
 
 def from_afar(
@@ -256,8 +164,8 @@ def from_afar(
     """
 
     def fitted(h: Hypothesis) -> Hypothesis:
-        begun = retoothed(cases, h.point.structure, h.point.values, held, density)
-        return Hypothesis(h.added, relocated(cases, begun, held))
+        begun = valleys.retoothed(cases, h.point.structure, h.point.values, held, density)
+        return Hypothesis(h.added, valleys.relocated(cases, begun, held))
 
     with ThreadPoolExecutor(2) as pool:
         return list(pool.map(fitted, far[:FAR]))
@@ -271,13 +179,13 @@ def _from_brief(
     Where much is missing the motor does not bounce where the model has it bounce, and a filter that remembers for
     longer leads an effect that is there into a valley of the bounces.
     """
-    brief = likelihood.density_of(cases[0], BRIEF[0])
-    near = contest(cases, settle(cases, before.structure, before.values, held, brief), candidates)
+    brief = likelihood.density_of(cases[0], valleys.BRIEF[0])
+    near = contest(cases, valleys.settle(cases, before.structure, before.values, held, brief), candidates)
 
     def fitted(h: Hypothesis) -> Hypothesis:
-        found = lengthened(cases, h.point.structure, h.point.values, held, before.density)
+        found = valleys.lengthened(cases, h.point.structure, h.point.values, held, before.density)
         promises = compare.earned(before, found) > HOPE * compare.LEAST
-        return Hypothesis(h.added, relocated(cases, found, held) if promises else found)
+        return Hypothesis(h.added, valleys.relocated(cases, found, held) if promises else found)
 
     with ThreadPoolExecutor(2) as pool:
         return list(pool.map(fitted, near[:FAR]))
@@ -299,7 +207,7 @@ def _instead(
     own = {n: v for n, v in screening.neutral(effect).items() if n not in point.values}
     trials = [{**known, **own, **t} for t in screening.grids(mine, point.structure, point.values)[effect]]
     begun = min(trials, key=lambda v: likelihood.evaluate(mine, longer, v, point.density).deviance)
-    return Hypothesis((effect,), settle(cases, longer, begun, held, point.density))
+    return Hypothesis((effect,), valleys.settle(cases, longer, begun, held, point.density))
 
 
 def _in_place_of(
@@ -308,7 +216,7 @@ def _in_place_of(
     """The one with its own effect from where the other stands in everything that both share."""
     shared = {p.name: other.point.values[p.name] for p in smaller.parameters if p.name in other.point.values}
     own = one.point
-    return Hypothesis(one.added, settle(cases, own.structure, {**own.values, **shared}, held, own.density))
+    return Hypothesis(one.added, valleys.settle(cases, own.structure, {**own.values, **shared}, held, own.density))
 
 
 def _tested(
@@ -319,7 +227,7 @@ def _tested(
     """
     if not compare.earns(before, h.point):
         return before, False
-    smaller = settle(cases, before.structure, h.point.values, held, before.density)
+    smaller = valleys.settle(cases, before.structure, h.point.values, held, before.density)
     before = min(before, smaller, key=lambda p: p.deviance)
     return before, compare.earns(before, h.point) and shows(cases, before, h.point)
 
@@ -351,7 +259,7 @@ def compete(
             keep(list(pool.map(lambda h: _finish(cases, h, held, density), near[:NEAR])))
             leaders = leading(2)
             smaller = min(
-                pool.map(lambda h: settle(cases, structure, h.point.values, held, density), leaders),
+                pool.map(lambda h: valleys.settle(cases, structure, h.point.values, held, density), leaders),
                 key=lambda p: p.deviance,
             )
             unit = compare.worth([before, leaders[0].point])
@@ -369,11 +277,11 @@ def compete(
         hoped = max(CLOSE * (before.deviance - leaders[0].deviance), HOPE * compare.LEAST * unit)
         bar = before.deviance - hoped
         close = [h for h in leading(NEAR) if h.deviance < bar]
-        keep(list(pool.map(lambda h: Hypothesis(h.added, deepen(cases, h.point, held)), close)))
+        keep(list(pool.map(lambda h: Hypothesis(h.added, valleys.deepen(cases, h.point, held)), close)))
         if unit >= WHITE:
             # Where the likelihood is rough the one that ended in a better valley would win, whatever its effect.
             rough = [h for h in leading(EACH) if h.deviance < bar]
-            keep(list(pool.map(lambda h: Hypothesis(h.added, relocated(cases, h.point, held)), rough)))
+            keep(list(pool.map(lambda h: Hypothesis(h.added, valleys.relocated(cases, h.point, held)), rough)))
             pairs = itertools.permutations([h for h in leading(EACH) if h.deviance < bar], 2)
             keep(list(pool.map(lambda pair: _in_place_of(cases, pair[0], pair[1], structure, held), pairs)))
     return _judged(cases, before, list(best.values()), held)
@@ -406,7 +314,7 @@ def beyond(
     for stone in _hopeful(this)[:STONES]:
         rest = [c for c in candidates if c not in stone.point.structure]
         for h in contest(cases, stone.point, rest)[:1]:
-            pairs.append((stone, rest, Hypothesis(h.added, relocated(cases, h.point, held))))
+            pairs.append((stone, rest, Hypothesis(h.added, valleys.relocated(cases, h.point, held))))
     for stone, rest, second in sorted(pairs, key=lambda pair: pair[-1].deviance):
         if compare.earns(this.before, second.point):
             following = compete(cases, stone.point, [second], rest, held)
@@ -437,7 +345,7 @@ def _judged(
     for h in rivals:
         before, stands = _tested(cases, before, h, held)
         if not stands and compare.earns(before, h.point):
-            moved = relocated(cases, h.point, held)
+            moved = valleys.relocated(cases, h.point, held)
             if moved is not h.point:
                 h = Hypothesis(h.added, moved)
                 before, stands = _tested(cases, before, h, held)

@@ -24,6 +24,7 @@ from twin import (
     redrawn,
     search,
     unknown,
+    valleys,
 )
 from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN
@@ -277,7 +278,7 @@ def diagnose(
     lap("term without a name")
     tell("fitting both models to the end", 0.87)
     # Of a model without the right physics nobody can say what it would have to foresee.
-    first_point, last_point = (explain.sharpened(found.cases, p) for p in (found.first, found.last))
+    first_point, last_point = (valleys.sharpened(found.cases, p) for p in (found.first, found.last))
     judged, last_point = ascent.foreseen(ready.with_steps(found.cases, last_point.structure), last_point)
     before = after = identify.to_model(judged, last_point, train, held)
     if first_point.structure == last_point.structure:

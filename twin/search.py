@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from twin import ascent, compare, explain, likelihood, meetings, ready, screening
+from twin import ascent, compare, explain, likelihood, meetings, ready, screening, valleys
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.explain import Hypothesis, Round
@@ -64,7 +64,7 @@ def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
 def _fits(
     cases: Sequence[Case], point: Point, held: Mapping[str, float], structures: Sequence[Structure]
 ) -> list[Point]:
-    return [explain.settle(cases, s, point.values, held, point.density) for s in structures]
+    return [valleys.settle(cases, s, point.values, held, point.density) for s in structures]
 
 
 def _fair(point: Point, lesser: Sequence[Point], begun: Point) -> Point:
@@ -88,7 +88,7 @@ def _grown(
     rounds: list[Round] = []
     while len(rounds) < MOST and (open_ := [c for c in candidates if c not in best.structure]):
         tell(f"round {len(rounds) + 1}: trying {len(open_)} effects", 0.05 + 0.2 * len(rounds))
-        best = explain.relocated(cases, explain.rejudged(cases, best, held), held) if rounds else best
+        best = valleys.relocated(cases, valleys.rejudged(cases, best, held), held) if rounds else best
         this = explain.again(cases, explain.compete(cases, best, known, open_, held), open_, held)
         more = () if this.won or len(rounds) + 2 > MOST else explain.beyond(cases, this, open_, held)
         rounds += more or [this]
@@ -129,7 +129,7 @@ def find(
     polished, fine = ascent.polish(cases, ascent.refine(cases, ready.with_teeth(first), rough, held))
     # What a model without the right physics cannot foresee may be what is looked for.
     cases = meetings.judged_throughout(polished)
-    best = explain.settle(cases, first, fine.values, held, explain.judged(cases, fine))
+    best = valleys.settle(cases, first, fine.values, held, valleys.judged(cases, fine))
     candidates = screening.offered(cases, candidates)
     far = explain.contest(cases, rough[0], [c for c in candidates if c not in first])
     known = explain.from_afar(cases, far, held, best.density)
@@ -139,7 +139,7 @@ def find(
         rounds += more
         # What the last model is held against is judged as it is.
         start = rounds[0].before if rounds else grown
-        begun = explain.settle(cases, first, start.values, held, grown.density)
+        begun = valleys.settle(cases, first, start.values, held, grown.density)
         best, lesser = _pruned(cases, grown, begun, held)
         begun = min((q for q in lesser if q.structure == begun.structure), key=lambda p: p.deviance, default=begun)
         swaps = _swapped(cases, best, lesser, rounds, held)
@@ -202,8 +202,8 @@ def _swapped(
                 rest = last.structure.without(effect, *last.structure.brought_by(effect))
                 own, other = h.point, rest.with_(*h.added)
                 starts = ({**own.values, **last.values}, {**last.values, **own.values})
-                tried = [explain.settle(cases, other, values, held, last.density) for values in starts]
-                point = explain.deepen(cases, min(tried, key=lambda p: p.deviance), held)
+                tried = [valleys.settle(cases, other, values, held, last.density) for values in starts]
+                point = valleys.deepen(cases, min(tried, key=lambda p: p.deviance), held)
                 # What does not come close needs no test.
                 far = compare.ahead(last, point) > UNSURE
                 without = min((q for q in lesser if effect not in q.structure), key=lambda q: q.deviance)
@@ -246,7 +246,7 @@ def _wider(
         for h in _overtook(rounds, effect, other):
             share = h.values[more.gain] / max(h.values[own.gain], 1e-300)
             begins = ({**last.values, more.gain: share * size}, {**last.values, **h.values})
-            fits += [explain.settle(cases, longer, v, held, last.density) for v in begins]
+            fits += [valleys.settle(cases, longer, v, held, last.density) for v in begins]
         found = min(fits, key=lambda p: p.deviance, default=None)
         if found is not None and compare.ahead(last, found) < UNSURE and plausible(cases, found):
             out.append(Swap(effect, other, found))
@@ -262,7 +262,7 @@ def _widened(
     likeliest = max(wider, key=lambda w: compare.ahead(w.point, last), default=None)
     if likeliest is not None:
         found = likeliest.point
-        freed = explain.settle(cases, found.structure, found.values, held, last.density)
+        freed = valleys.settle(cases, found.structure, found.values, held, last.density)
         if compare.ahead(freed, last) > 0.0:
             others = [w for w in swaps if w.effect in freed.structure.named]
             return freed, [*others, Swap(likeliest.rival, likeliest.effect, last)]

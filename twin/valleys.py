@@ -1,0 +1,106 @@
+"""To the maximum of the likelihood near given values, and out of the valleys that what was missing has led into.
+
+Structures compete at one noise density: that of a filter which remembers a tenth of a second, or for longer where the
+model is right for longer. Where it lacks much the likeliest density believes little but the last readings, and so
+forgets the slow part of the misfit, in which physics shows: half as long a memory knows a sixteenth of a constant
+torque, and would drop it again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+from twin import ascent, likelihood, ready
+from twin.axis import Structure
+from twin.likelihood import Case, Point
+
+#: The least memory of a filter that judges, s.
+MEMORY = 0.1
+#: Memories by way of which a filter is brought to remember for longer, s: a bounce is over by then.
+BRIEF = (0.02, 0.05)
+#: Noise densities within this factor judge alike.
+ALIKE = 1.5
+
+
+def judged(cases: Sequence[Case], point: Point) -> float:
+    """The noise density at which the first round is judged."""
+    return min(likelihood.density_of(cases[0], MEMORY), point.density)
+
+
+def settle(
+    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float], density: float
+) -> Point:
+    """The maximum near these values at a noise density, with everything free that is not held."""
+    structure = ready.with_teeth(structure)
+    mine = ready.with_steps(cases, structure)
+    free = tuple(n for n in ready.free_parameters(structure) if n not in held)
+    full = ready.completed(structure, values) | dict(held)
+    return likelihood.climb(mine, structure, full, density, free, tolerance=0.2)
+
+
+def rejudged(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
+    """The maximum at the noise density that the model asks for, now that it lacks less."""
+    mine = ready.with_steps(cases, point.structure)
+    likeliest = likelihood.best_density(mine, point.structure, point.values, around=point.density)
+    density = min(likelihood.density_of(cases[0], MEMORY), likeliest)
+    if 1.0 / ALIKE < density / point.density < ALIKE:
+        return point
+    return settle(cases, point.structure, point.values, held, density)
+
+
+def retoothed(
+    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float], density: float
+) -> Point:
+    """The maximum near these values with teeth that are looked for anew."""
+    structure = ready.with_teeth(structure)
+    mine = ready.with_steps(cases, structure)
+    seen = ascent.glimpses(mine, structure)
+    begun = ascent.likeliest_teeth(seen, structure, ready.completed(structure, values), density)
+    return settle(cases, structure, begun, held, density)
+
+
+def relocated(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
+    """The point, or a better one where gap, shares and teeth are looked for anew.
+
+    What was missing until now may have led them astray, and no slope leads back.
+    """
+    if not point.structure.toothed:
+        return point
+    rigid = point.structure.without("tooth_compliance")
+    seen = ascent.glimpses(ready.with_steps(cases, rigid), rigid)
+
+    def looked(memory: float) -> Point:
+        rough = ascent.coarse(seen, rigid, ready.completed(rigid, point.values), held, memory)
+        return retoothed(cases, point.structure, {**point.values, **rough.values}, held, point.density)
+
+    with ThreadPoolExecutor(2) as pool:
+        return min([point, *pool.map(looked, ascent.MEMORIES)], key=lambda p: p.deviance)
+
+
+def deepen(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
+    """The point, or a better one by way of the noise density that the recording asks for, where valleys are wider."""
+    mine = ready.with_steps(cases, point.structure)
+    likeliest = likelihood.fit(mine, point.structure, point.values, point.free, point.density, rounds=12)
+    other = settle(cases, point.structure, likeliest.values, held, point.density)
+    return min(point, other, key=lambda p: p.deviance)
+
+
+def lengthened(
+    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float], density: float
+) -> Point:
+    """The maximum at a noise density by way of shorter memories, to which what moves a bounce makes no valley."""
+    for memory in BRIEF:
+        if memory < likelihood.memory_of(cases[0], density):
+            values = settle(cases, structure, values, held, likelihood.density_of(cases[0], memory)).values
+    return settle(cases, structure, values, held, density)
+
+
+def sharpened(cases: Sequence[Case], point: Point) -> Point:
+    """The point, with a longer memory where the recording asks for one: the model then is right for longer."""
+    mine = ready.with_steps(cases, point.structure)
+    density = likelihood.best_density(mine, point.structure, point.values, around=point.density)
+    if density > 0.8 * point.density:
+        return point
+    found = likelihood.fit(mine, point.structure, point.values, point.free, density)
+    return found if found.density < point.density else point
