@@ -22,34 +22,31 @@ from twin.likelihood import Case, Point
 
 FloatArray = NDArray[np.float64]
 
-
-def _amplitude_spectrum(phase: FloatArray, torque: FloatArray, rates: FloatArray) -> FloatArray:
-    """How much of the torque's energy each rate (per unit of phase) explains, (rates,)."""
-    centred = torque - torque.mean()
-    out = np.empty(len(rates))
-    for i, rate in enumerate(rates):
-        wave = np.exp(1j * rate * phase)
-        out[i] = abs(np.dot(wave, centred)) ** 2
-    return out / max(len(torque) * float(np.dot(centred, centred)), 1e-300)
+_TURN = 2.0 * math.pi
+#: So many of the strongest lines of the missing torque are tried, further apart than this share of their rate.
+_LINES, _APART = 3, 0.15
 
 
-def _peaks(rates: FloatArray, power: FloatArray, count: int) -> list[float]:
+def _lines(phase: FloatArray, torque: FloatArray, circle: float, lowest: float, highest: float) -> list[float]:
+    """The rates (per unit of phase) between two at which the torque (N,) is most periodic, the strongest first.
+
+    All rates are looked at that close after `circle`: if that is twice the phase's range, no line is narrower than they
+    are apart. The phase is rounded to an eighth of the shortest period.
+    """
+    rate = 2.0 * math.pi / circle
+    last = max(int(highest / rate), 1)
+    first = min(math.ceil(lowest / rate), last)
+    place = (phase % circle * (8 * last / circle)).astype(np.intp) % (8 * last)
+    clipped = np.clip(torque, *np.quantile(torque, [0.01, 0.99]))
+    around = np.bincount(place, clipped - clipped.mean(), 8 * last)
+    power = np.abs(np.fft.rfft(around)[first : last + 1])
+    beside = np.pad(power, 1, constant_values=-1.0)
+    peaks = np.flatnonzero((power >= beside[:-2]) & (power >= beside[2:]))
     chosen: list[float] = []
-    for i in np.argsort(-power):
-        if all(abs(rates[i] - c) > 0.15 * c for c in chosen):
-            chosen.append(float(rates[i]))
-        if len(chosen) == count:
-            break
+    for found in (rate * (first + peaks[np.argsort(-power[peaks])])).tolist():
+        if len(chosen) < _LINES and all(abs(found - c) > _APART * c for c in chosen):
+            chosen.append(found)
     return chosen
-
-
-def _lines(missing: locate.Missing, variable: str, rates: FloatArray, count: int) -> list[float]:
-    """The rates at which the missing torque is most periodic in position or time."""
-    ok = np.isfinite(missing.torque)
-    stride = max(int(0.004 / missing.step), 1)
-    phase, torque = missing.state(variable)[ok][::stride], missing.torque[ok][::stride]
-    power = _amplitude_spectrum(phase, np.clip(torque, *np.quantile(torque, [0.01, 0.99])), rates)
-    return _peaks(rates, power, count)
 
 
 def grids(
@@ -72,18 +69,17 @@ def grids(
     speeds = np.abs(missing.velocity[np.isfinite(missing.velocity)])
     fast = float(np.quantile(speeds, 0.95)) if len(speeds) else 1.0
     out["stribeck_friction"] = [{"stribeck_velocity": f * fast} for f in (0.02, 0.06, 0.15)]
+    read = np.isfinite(missing.torque)
     if travel > 0.0:
-        # A ripple is one that is seen to repeat: on a turn in whole numbers, on a short or linear travel three times.
-        least = 2.0 * math.pi * 3.0 / travel
-        whole = np.arange(2.0, 61.0)
-        short = least * np.geomspace(1.0, 30.0, 117)
-        angular = not longest.recording.output_unit.startswith("m")
-        orders = whole[whole >= least] if angular and travel > 3.0 else short
-        out["torque_ripple"] = [{"ripple_order": n} for n in _lines(missing, "position", orders, 3)]
-    rates = 2.0 * math.pi * np.geomspace(max(0.1, 2.0 / end), min(25.0, 0.2 / missing.step), 600)
-    out["periodic_disturbance"] = [
-        {"disturbance_frequency": r / (2.0 * math.pi)} for r in _lines(missing, "time", rates, 3)
-    ]
+        # A ripple is one that is seen to repeat three times; on more than half a turn, a whole number of times a turn.
+        least = 3.0 * _TURN / travel
+        turning = not longest.recording.output_unit.startswith("m") and travel > 3.0
+        circle, most = (_TURN, 60.0) if turning else (2.0 * travel, 30.0 * least)
+        orders = _lines(missing.position[read], missing.torque[read], circle, least, most)
+        out["torque_ripple"] = [{"ripple_order": n} for n in orders]
+    slowest, fastest = _TURN * max(0.1, 2.0 / end), _TURN * min(25.0, 0.2 / missing.step)
+    rates = _lines(missing.time[read], missing.torque[read], 2.0 * end, slowest, fastest)
+    out["periodic_disturbance"] = [{"disturbance_frequency": r / _TURN} for r in rates]
     out["thermal_fade"] = [
         {"fade_time": f * end, "fade_reference": span} for f in (0.15, 0.5, 1.5) if 1.0 <= f * end <= 3600.0
     ]
