@@ -368,12 +368,17 @@ def piece(x, p, k, command, h):
         left_l = push_l
         left = push_m + push_l
         if has.grip:
-            forward = grip(place, speed_l, 1.0, through, p)
-            reverse = grip(place, speed_l, -1.0, through, p)
-            if forward < 0.0:
-                forward = 0.0
-            if reverse < 0.0:
-                reverse = 0.0
+            forward = 0.0
+            reverse = 0.0
+            # Only what is at rest needs both.
+            if x.motor_velocity >= 0.0 or x.velocity >= 0.0:
+                forward = grip(place, speed_l, 1.0, through, p)
+                if forward < 0.0:
+                    forward = 0.0
+            if x.motor_velocity <= 0.0 or x.velocity <= 0.0:
+                reverse = grip(place, speed_l, -1.0, through, p)
+                if reverse < 0.0:
+                    reverse = 0.0
             left_m = net(push_m, dry * forward, dry * reverse, x.motor_velocity)
             left_l = net(push_l, (1.0 - dry) * forward, (1.0 - dry) * reverse, x.velocity)
             left = net(left, forward, reverse, x.velocity)

@@ -44,11 +44,10 @@ class _Printer(PythonCodePrinter):  # type: ignore[misc]
 
     def _print_Pow(self, expr: sympy.Expr, **options: Any) -> str:
         base, exponent = expr.args
-        if exponent == 2:
-            inner = self.parenthesize(base, 70)
-            return f"({inner}*{inner})"
-        if exponent == -1:
-            return f"(1.0/{self.parenthesize(base, 70)})"
+        # A product: a processor has no powers, and whole ones are all that slopes bring.
+        if exponent.is_Integer and 0 < abs(int(exponent)) <= 4:
+            product = "*".join([self.parenthesize(base, 70)] * abs(int(exponent)))
+            return f"({product})" if exponent > 0 else f"(1.0/({product}))"
         return str(super()._print_Pow(expr, **options))
 
 

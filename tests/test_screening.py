@@ -1,0 +1,63 @@
+"""Where a candidate begins: lines of the missing torque are found wherever they lie."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twin import likelihood, locate, ready, screening
+from twin.axis import Structure
+from twin.recording import Recording
+
+
+def lines(position, torque, effect: str, name: str, unit: str = "rad") -> list[float]:
+    """What is tried of a candidate's rate where this torque (N,) is missing at these positions (N,), every 2 ms."""
+    time = 0.002 * np.arange(len(torque))
+    structure = Structure.of(["inertia", "viscous_friction", "dead_band"])
+    duty = np.where(time % 1.0 < 0.5, 30.0, 0.0)
+    case = likelihood.prepare(Recording("made", time, duty, position, "%", unit, 1e-4), structure)
+    speed = np.gradient(position, time)
+    missing = locate.Missing(time, torque, position, speed, np.gradient(speed, time), duty, 0.002)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(locate, "missing_torque", lambda *args: missing)
+        tried = screening.grids([case], structure, ready.completed(structure, {}))[effect]
+    return [row[name] for row in tried]
+
+
+def noisy(wave) -> np.ndarray:
+    return wave + 3.0 * np.random.default_rng(1).standard_normal(len(wave))
+
+
+@settings(max_examples=30, deadline=None)
+@given(end=st.floats(10.0, 120.0), frequency=st.floats(0.5, 24.0), phase=st.floats(0.0, 6.0))
+def test_a_disturbance_is_looked_for_at_its_own_frequency_however_long_the_recording(end, frequency, phase) -> None:
+    """A line is as narrow as the recording is long; a climb finds it from within a quarter of that width."""
+    time = np.arange(0.0, end, 0.002)
+    wave = np.sin(2.0 * np.pi * frequency * time + phase)
+    found = lines(np.sin(time), noisy(wave), "periodic_disturbance", "disturbance_frequency")
+    assert abs(found[0] - frequency) <= 0.26 / end
+
+
+@pytest.mark.parametrize("order", [7, 23, 58])
+def test_a_ripple_on_whole_turns_is_looked_for_in_whole_numbers(order) -> None:
+    position = 25.0 * np.sin(0.4 * 0.002 * np.arange(10000))
+    found = lines(position, noisy(np.sin(order * position + 1.0)), "torque_ripple", "ripple_order")
+    assert found[0] == pytest.approx(order)
+
+
+@pytest.mark.parametrize("order", [40.0, 137.0, 290.0])
+@pytest.mark.parametrize(("unit", "travel"), [("rad", 0.6), ("m", 6.0)])
+def test_a_ripple_on_a_short_or_linear_travel_is_looked_for_anywhere(order, unit, travel) -> None:
+    """A linear axis has no turn; neither has one that moves by less than half of one."""
+    position = 0.5 * travel * np.sin(0.4 * 0.002 * np.arange(20000))
+    rate = 0.6 * order / travel
+    found = lines(position, noisy(np.sin(rate * position + 1.0)), "torque_ripple", "ripple_order", unit)
+    assert min(abs(f - rate) for f in found) <= 0.26 * 2.0 * np.pi / travel
+
+
+def test_where_nothing_is_missing_there_is_something_to_try_all_the_same() -> None:
+    position = np.sin(0.002 * np.arange(5000))
+    assert lines(position, np.zeros(5000), "torque_ripple", "ripple_order")
+    assert lines(position, np.zeros(5000), "periodic_disturbance", "disturbance_frequency", "m")
