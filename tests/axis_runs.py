@@ -28,6 +28,7 @@ SANE: dict[str, tuple[float, float]] = {
     "motor_share": (0.1, 0.4),
     "friction_share": (0.3, 0.9),
     "dry_share": (0.1, 0.9),
+    "shaft_share": (0.1, 0.9),
     "own_inertia": (0.008, 0.02),
     "coulomb_friction": (0.6, 4.0),
     "stribeck_friction": (0.3, 2.0),

@@ -317,3 +317,25 @@ def test_each_body_has_its_own_part_of_the_dry_friction(share):
     _, states = run(structure, values, time, np.zeros(len(time)), start)
     for body, part, inertia in ((3, share, GAP["motor_share"]), (1, 1.0 - share, 1.0 - GAP["motor_share"])):
         assert states[-1, body] == pytest.approx(start[body] - 1.5 * part / inertia * time[-1], abs=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_a_ripple_turns_with_the_body_that_it_acts_on(share):
+    """Alone in a wide gap motor and link each feel their own part of it, at their own angle."""
+    structure = Structure.of((*BASE, "torque_ripple"))
+    values = PLAIN | GAP | {"viscous_friction": 0.0, "backlash_gap": 0.4, "shaft_share": share}
+    values |= {"ripple_torque": 2.0, "ripple_order": 30.0, "ripple_phase": 0.7}
+    time = clock(0.2)
+    start = kernel.start_state(0.1, 0.5, -0.1)
+    start[3] = 1.0
+    _, states = run(structure, values, time, np.zeros(len(time)), start)
+    for body, part, inertia in ((3, share, GAP["motor_share"]), (1, 1.0 - share, 1.0 - GAP["motor_share"])):
+
+        def alone(_, y, part=part, inertia=inertia):
+            return [y[1], part * 2.0 * math.sin(30.0 * y[0] - 0.7) / inertia]
+
+        begun = [0.0 if body == 3 else 0.1, start[body]]
+        expected = solve_ivp(alone, (0.0, time[-1]), begun, rtol=1e-11, atol=1e-13).y[:, -1]
+        place = states[-1, 0] + (states[-1, 2] if body == 3 else 0.0)
+        assert place == pytest.approx(expected[0], abs=COUNT / 10)
+        assert states[-1, body] == pytest.approx(expected[1], abs=1e-3)

@@ -195,7 +195,10 @@ SLOT_UNITS = {
     "command": "{u}", "emf": "{u}", "heat": "1", "position": "{x}", "velocity": "{x}/s", "time": "s",
     "direction": "1", "transmitted": "{x}/s^2", **{name: unit for name, (unit, _) in KNOWN.items()},
 }  # fmt: skip
-RETURNS = {"drive": "{u}", "load": "{x}/s^2", "drag": "{x}/s^2", "grip": "{x}/s^2", "mass": "1", "sensor": "{x}"}
+RETURNS = {
+    "drive": "{u}", "load": "{x}/s^2", "shaft": "{x}/s^2", "drag": "{x}/s^2", "grip": "{x}/s^2", "mass": "1",
+    "sensor": "{x}",
+}  # fmt: skip
 #: Numbers in laws that are quantities: standard gravity (inertia being torque per rad/s^2) and a turn.
 LITERALS = {9.80665: "{x}*m/s^2", 6.283185307179586: "rad"}
 #: Laws of the angle itself, which have no counterpart on a linear axis.

@@ -201,11 +201,13 @@ def piece(x, p, k, command, h):
     mass_m = 0.5
     share = 0.5
     dry = 0.5
+    turned = 0.0
     if has.backlash:
         half = 0.5 * p.backlash_gap
         mass_m = p.motor_share
         share = p.friction_share
         dry = p.dry_share
+        turned = p.shaft_share
     # Compliant teeth and an elastic joint are the same spring beyond the gap: the softer one is what is seen.
     elastic = 0
     rate = 0.0
@@ -319,8 +321,7 @@ def piece(x, p, k, command, h):
                 speed_m = x.motor_velocity + middle * gain_m
                 if speed_m * x.motor_velocity < 0.0:
                     speed_m = 0.0
-            if elastic == 1:
-                twist = x.gap + middle * closing
+            twist = x.gap + middle * closing
             if has.thermal_fade:
                 heat = x.heat + (warm - x.heat) * middle / p.fade_time
 
@@ -354,6 +355,11 @@ def piece(x, p, k, command, h):
 
         push_m = torque + share * resist_m
         push_l = pull + (1.0 - share) * resist_l
+        if has.shaft:
+            turn_m = shaft(place + twist, p)
+            turn_l = shaft(place, p)
+            push_m = push_m + turned * turn_m
+            push_l = push_l + (1.0 - turned) * turn_l
         # What the teeth transmit: the spring's torque, or what makes two bodies move as one.
         through = 0.0
         if elastic == 1:

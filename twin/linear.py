@@ -70,7 +70,10 @@ def linearise(controller: Controller, position: float = 0.0) -> Linear:
     moment, payload = controller.known_list[list(KNOWN).index("moment")], controller.known_list[0]
     h = 1e-6
     total = 1.0 + law.mass(0.0, payload, p)
-    stiffness = (law.load(position + h, 0.0, 0.0, moment, p) - law.load(position - h, 0.0, 0.0, moment, p)) / (2 * h)
+    ahead, behind = (
+        law.load(place, 0.0, 0.0, moment, p) + law.shaft(place, p) for place in (position + h, position - h)
+    )
+    stiffness = (ahead - behind) / (2 * h)
     # One-sided where the law has a corner at rest: the mean of both sides.
     damping = sum(
         law.load(position, s * h, 0.0, moment, p) + law.drag(position, s * h, p)

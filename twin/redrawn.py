@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 #: does: two that have nothing to do with each other happen to do so once in ten times.
 CANCELLED = 0.5
 #: Where the torques act that a curve over a variable may stand for.
-SLOTS: Mapping[str, str] = {"position": "load", "velocity": "drag"}
+SLOTS: Mapping[str, tuple[str, ...]] = {"position": ("load", "shaft"), "velocity": ("drag",)}
 _SPOKEN = {"position": "position", "velocity": "speed"}
 
 
@@ -40,7 +40,7 @@ class Redrawn:
 
 def _ids(first: Structure, last: Structure, variable: str) -> tuple[str, ...]:
     """What the last model names beyond the first that follows from the variable alone; a stop's damping does not."""
-    mine = (i for i in last.named if i in CANDIDATES and i not in first and EFFECTS[i].slot == SLOTS[variable])
+    mine = (i for i in last.named if i in CANDIDATES and i not in first and EFFECTS[i].slot in SLOTS[variable])
     return tuple(i for i in mine if equations.reads(i) <= {variable})
 
 

@@ -202,9 +202,8 @@ def check(reference: Reference, controller: Controller) -> None:
     for i in range(0, len(reference.time), stride):
         place, speed = float(reference.position[i]), float(reference.velocity[i])
         side = 1.0 if speed > 0.0 else -1.0
-        need = (
-            total * float(reference.acceleration[i]) - law.load(place, speed, 0.0, k[1], p) - law.drag(place, speed, p)
-        )
+        need = total * float(reference.acceleration[i]) - law.drag(place, speed, p)
+        need -= law.load(place, speed, 0.0, k[1], p) + law.shaft(place, p)
         if speed != 0.0:
             need += side * law.grip(place, speed, side, 0.5 * need, p)
         way = 1.0 if need > 0.0 else -1.0

@@ -156,6 +156,26 @@ def carry(x, p, k, q, index, g):
     return 0.0
 
 
+def turning(place, y, p):
+    """Torque on the motor beside the drive's, over inertia, with the link at a place."""
+    torque = 0.0
+    if has.backlash:
+        if has.shaft:
+            torque = p.shaft_share * shaft(place + y.gap, p)
+    return torque
+
+
+def pulling(place, speed, y, k, p):
+    """Torque on the link at a place and speed, over inertia."""
+    torque = load(place, speed, y.time, k.moment, p)
+    if has.shaft:
+        part = 1.0
+        if has.backlash:
+            part = 1.0 - p.shaft_share
+        torque = torque + part * shaft(place, p)
+    return torque
+
+
 def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
     """One sample: correct, predict, decide. Returns the command to be applied from the next sample on."""
     reading = measured
@@ -219,7 +239,8 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
     rise = acceleration + ahead * jerk
 
     total = 1.0 + mass(y.time, k.payload, p)
-    pull = load(y.position, y.velocity, y.time, k.moment, p)
+    turn = turning(y.position, y, p)
+    pull = turn + pulling(y.position, y.velocity, y, k, p)
     resist = drag(y.position, y.velocity, p)
     emf = 0.0
     if has.viscous_friction:
@@ -266,7 +287,7 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
         mass_l = total - p.motor_share
         share = 1.0 - p.friction_share
         dry = 1.0 - p.dry_share
-    through = mass_l * wish - share * resist - pull
+    through = mass_l * wish - share * resist - (pull - turn)
     stiction = friction(y.position, y.velocity, heading, through, dry, p)
     torque = total * wish - pull - resist + stiction
     if has.motor_lag:
@@ -274,8 +295,9 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
         current = (p.input_gain * y.lag + pull + resist - stiction) / total
         jump = wish + g.acceleration_gain * (rise - current) - current + p.lag_time * jerk
         moved = 0.25 * g.sample_time
-        later = load(y.position + moved * y.velocity, y.velocity + moved * current, y.time, k.moment, p)
-        later = later + drag(y.position + moved * y.velocity, y.velocity + moved * current, p)
+        place = y.position + moved * y.velocity
+        reached = y.velocity + moved * current
+        later = turning(place, y, p) + pulling(place, reached, y, k, p) + drag(place, reached, p)
         torque = p.input_gain * y.lag + total * jump - p.lag_time * (later - pull - resist) / moved
     command = clip(invert(torque / p.input_gain, emf, y.heat, y.position + y.gap, p, g), g.limit)
 
@@ -323,7 +345,7 @@ def follow(time, place, pace, rise, z, plant, kp, longest, x, y, m, q, p, g, k, 
     return 0.0
 
 
-FUNCTIONS = (answer, invert, clip, friction, approach, carry, sample)
+FUNCTIONS = (answer, invert, clip, friction, approach, carry, turning, pulling, sample)
 
 
 class _Name(ast.NodeTransformer):

@@ -20,6 +20,8 @@ SLOTS: Mapping[str, tuple[tuple[str, ...], str]] = {
     # The position is the motor's.
     "drive": (("command", "emf", "heat", "position"), "command that acts, in the input's unit; laws apply in turn"),
     "load": (("position", "velocity", "time", "moment"), "torque on the link; laws add up"),
+    # On motor and link by `shaft_share`, at the place of each.
+    "shaft": (("position",), "torque on motor and link; laws add up"),
     "drag": (("position", "velocity"), "smooth resistance, against the speed; laws add up"),
     "grip": (("position", "velocity", "direction", "transmitted"), "size of the dry friction; laws add up"),
     "mass": (("time", "payload"), "inertia added to the link; laws add up"),

@@ -18,7 +18,7 @@ EFFECT = Effect(
     id="torque_ripple",
     title="torque ripple (cogging, gear mesh)",
     station="load",
-    slot="load",
+    slot="shaft",
     parameters=(
         Parameter("ripple_torque", "{x}/s^2", "amplitude of the ripple over inertia", 0.0, 0.0),
         Parameter("ripple_order", "rad/{x}", "periods per turn of the link", None, 1.5, 400.0, 12.0),

@@ -88,6 +88,7 @@ def rates(x, p, k, command):
     mass_m = 0.0
     share = 0.0
     dry = 0.0
+    turned = 0.0
     speed_m = x.velocity
     wound = 0.0
     if has.backlash:
@@ -95,6 +96,7 @@ def rates(x, p, k, command):
         mass_m = p.motor_share
         share = p.friction_share
         dry = p.dry_share
+        turned = p.shaft_share
         speed_m = x.motor_velocity
         rate = 0.0
         ratio = 0.0
@@ -133,6 +135,9 @@ def rates(x, p, k, command):
     pull = 0.0
     if has.load:
         pull = load(x.position, x.velocity, x.time, k.moment, p)
+    if has.shaft:
+        torque = torque + turned * shaft(x.position + x.gap, p)
+        pull = pull + (1.0 - turned) * shaft(x.position, p)
     forward = 0.0
     reverse = 0.0
     if has.grip:

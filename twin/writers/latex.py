@@ -31,6 +31,7 @@ SYMBOLS: dict[str, str] = {
     "motor_share": "J_{m}",
     "friction_share": r"\beta_{m}",
     "dry_share": r"\phi_{m}",
+    "shaft_share": r"\rho_{m}",
     "tooth_frequency": "f_{t}",
     "tooth_damping": r"\zeta_{t}",
     "joint_frequency": "f_{j}",
@@ -255,6 +256,7 @@ def _signed(text: str) -> str:
 _LEFT = {
     "drive": ("the command that acts", "v"),
     "load": ("motion", r"\ddot{@}"),
+    "shaft": ("motion", r"\ddot{@}"),
     "drag": ("motion", r"\ddot{@}"),
     "grip": ("size of the dry friction", "F"),
     "mass": ("inertia, in units of the axis' own", "J"),
@@ -311,11 +313,11 @@ def equations(structure: Structure, axis_unit: str = "rad") -> tuple[Equation, .
     x = coordinate(axis_unit)
     terms = {
         slot: [Term(e.id, _signed(law(e.id, axis_unit))) for e in structure.effects if e.slot == slot]
-        for slot in ("drag", "load", "grip", "mass", "sensor")
+        for slot in ("drag", "load", "shaft", "grip", "mass", "sensor")
     }
     acting, drive = _drive(structure, axis_unit)
     drives = "u_{e}" if "motor_lag" in structure else acting
-    motion = [Term("inertia", f"+ {symbol('input_gain')}\\,{drives}"), *terms["drag"], *terms["load"]]
+    motion = [Term("inertia", f"+ {symbol('input_gain')}\\,{drives}"), *terms["drag"], *terms["load"], *terms["shaft"]]
     if terms["grip"]:
         motion.append(Term(terms["grip"][0].effect, rf"- F\,\mathrm{{sgn}}\left(\dot{{{x}}}\right)"))
     left = rf"J\,\ddot{{{x}}}" if terms["mass"] else rf"\ddot{{{x}}}"

@@ -228,7 +228,15 @@ def write(model: Model) -> str:
     declared, equations, _ = _drive(model, x, u)
     link = {"position": "position", "velocity": "velocity"}
     declared.append(_declare("Real", "load", f"{x}/s^2", "torques on the link over inertia"))
-    equations.append(f"load = {_sum(model, 'load', link)};")
+    on_link, driving = _sum(model, "load", link), "torque"
+    if slots["shaft"]:
+        on_link += f" + {'(1 - shaft_share)*' if two else ''}({_sum(model, 'shaft', link)})"
+        if two:
+            driving = "driving"
+            on_motor = _sum(model, "shaft", {"position": "(position + gap)"})
+            declared.append(_declare("Real", driving, f"{x}/s^2", "torques on the motor over inertia"))
+            equations.append(f"{driving} = torque + shaft_share*({on_motor});")
+    equations.append(f"load = {on_link};")
     declared.append(_declare("Real", "mass", "1", "inertia, in units of that of the axis"))
     equations.append(f"mass = 1 + {_sum(model, 'mass', link)};")
     drag_link = _sum(model, "drag", link)
@@ -236,7 +244,7 @@ def write(model: Model) -> str:
     # Where nothing tells motor and link apart each is half of the axis.
     inertia, part = ("motor_share", "friction_share") if two else ("0.5", "0.5")
     bearing = (
-        f"((torque + {part}*({drag_motor}))*(mass - {inertia}) - (load + (1 - {part})*({drag_link}))*{inertia})/mass"
+        f"(({driving} + {part}*({drag_motor}))*(mass - {inertia}) - (load + (1 - {part})*({drag_link}))*{inertia})/mass"
     )
     if not two:
         transmitted = f"({bearing})"
@@ -273,7 +281,7 @@ def write(model: Model) -> str:
         declared += more
         equations += joined
         equations += [
-            f"motor_share*der(motor_velocity) = torque - contact + friction_share*({drag_motor}){gripped['motor']};",
+            f"motor_share*der(motor_velocity) = {driving} - contact + friction_share*({drag_motor}){gripped['motor']};",
             "(mass - motor_share)*der(velocity) = load + contact"
             f" + (1 - friction_share)*({drag_link}){gripped['link']};",
         ]
