@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from axis_runs import run, steps
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin import likelihood, locate, ready, screening
+from twin import likelihood, locate, ready, screening, valleys
 from twin.axis import Structure
 from twin.recording import Recording
 
@@ -61,3 +62,33 @@ def test_where_nothing_is_missing_there_is_something_to_try_all_the_same() -> No
     position = np.sin(0.002 * np.arange(5000))
     assert lines(position, np.zeros(5000), "torque_ripple", "ripple_order")
     assert lines(position, np.zeros(5000), "periodic_disturbance", "disturbance_frequency", "m")
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+@pytest.mark.parametrize(
+    ("effect", "law"),
+    [
+        ("constant_offset", {"offset": 0.8}),
+        ("torque_ripple", {"ripple_torque": 1.5, "ripple_order": 23.0, "ripple_phase": 0.4}),
+    ],
+)
+def test_a_torque_is_looked_for_on_the_motor_and_on_the_link(effect, law, share) -> None:
+    """Across the gap they are apart: a motor that is pulled shows otherwise than a link, and cogs at another angle."""
+    structure = ready.base_structure()
+    values = {
+        "input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0,
+        "backlash_gap": 0.06, "motor_share": 0.3, "friction_share": 0.6, "tooth_frequency": 90.0, "tooth_damping": 0.4,
+    }  # fmt: skip
+    rng = np.random.default_rng(9)
+    time, count = 0.002 * np.arange(5000), 2.0 * np.pi / 16384.0
+    duty = steps(rng, len(time), 150, 40.0)
+    longer = structure.with_(effect)
+    y, _ = run(longer, values | law | {"shaft_share": share}, time, duty + 0.1 * rng.standard_normal(len(time)))
+    made = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
+    cases = ready.prepare([made], structure)
+    before = valleys.settle(cases, structure, values, {}, likelihood.density_of(cases[0], 0.05))
+    entry = screening.enter(cases, before, effect, screening.grids(cases, structure, before.values)[effect])
+    found = valleys.settle(cases, entry.structure, entry.values, {}, before.density)
+    assert found.values["shaft_share"] == pytest.approx(share, abs=0.15)
+    name, size = next(iter(law.items()))
+    assert abs(found.values[name]) == pytest.approx(size, rel=0.1)

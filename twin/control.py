@@ -196,9 +196,9 @@ def _ends(model: Model) -> tuple[float, float]:
 def _draft(model: Model, limit: float) -> Controller:
     """Everything that does not depend on the bandwidth."""
     structure = _cancelled(model)
-    values = {p.name: float(model.values.get(p.name, p.start)) for p in structure.parameters}
-    if "constant_offset" not in model.structure:
-        values["offset"] = 0.0
+    # What the model lacks is the integral action, at the link.
+    known = {"offset": 0.0, "shaft_share": 0.0, **model.values}
+    values = {p.name: float(known.get(p.name, p.start)) for p in structure.parameters}
     period = model.sample_time
     delay = values.get("delay", 0.0)
     whole = math.floor(delay / period + 1e-9)

@@ -76,10 +76,7 @@ def grids(
         turning = not longest.recording.output_unit.startswith("m") and travel > 3.0
         circle, most = (_TURN, 60.0) if turning else (2.0 * travel, 30.0 * least)
         orders = _lines(missing.position[read], missing.torque[read], circle, least, most)
-        # Across the gap the motor stands at another angle than the link, and its cogging at another phase.
-        bodies = (0.0, 1.0) if "backlash" in structure and "shaft" not in structure.slots else ()
-        sides = [{"shaft_share": s} for s in bodies] or [{}]
-        out["torque_ripple"] = [{"ripple_order": n, **side} for n in orders for side in sides]
+        out["torque_ripple"] = [{"ripple_order": n} for n in orders]
     slowest, fastest = _TURN * max(0.1, 2.0 / end), _TURN * min(25.0, 0.2 / missing.step)
     rates = _lines(missing.time[read], missing.torque[read], 2.0 * end, slowest, fastest)
     out["periodic_disturbance"] = [{"disturbance_frequency": r / _TURN} for r in rates]

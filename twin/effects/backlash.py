@@ -22,7 +22,7 @@ EFFECT = Effect(
             "dry_share", "1", "the motor's share of the dry friction, seen there", None, 0.0, 1.0, 0.5, slot="grip"
         ),
         Parameter(
-            "shaft_share", "1", "the motor's share of the torque ripple", None, 0.0, 1.0, 0.5, slot="shaft"
+            "shaft_share", "1", "the motor's share of constant torque and ripple", None, 0.0, 1.0, 0.5, slot="shaft"
         ),
     ),
     law=None,
