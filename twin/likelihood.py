@@ -533,10 +533,10 @@ def climb(
 
     Stops when a step promises, or has brought, less than `tolerance` of what a unit of deviance is worth there.
     """
-    return _climb_on(cases, evaluate(cases, structure, values, density, free), rounds, tolerance)
+    return climb_on(cases, evaluate(cases, structure, values, density, free), rounds, tolerance)
 
 
-def _climb_on(cases: Sequence[Case], best: Point, rounds: int, tolerance: float) -> Point:
+def climb_on(cases: Sequence[Case], best: Point, rounds: int, tolerance: float) -> Point:
     """From a point that is known already."""
     damping, refused = 1e-3, 0
     for _ in range(rounds):
@@ -707,4 +707,4 @@ def fit(
             break
         current = found
         point = climb(cases, structure, point.values, current, free, min(rounds, 5), tolerance=1.0)
-    return _climb_on(cases, point, rounds, 0.05)
+    return climb_on(cases, point, rounds, 0.05)

@@ -23,15 +23,16 @@ from twin.likelihood import Case, Point
 FloatArray = NDArray[np.float64]
 
 _TURN = 2.0 * math.pi
-#: So many of the strongest lines of the missing torque are tried, further apart than this share of their rate.
-_LINES, _APART = 3, 0.15
+#: So many of the strongest lines of the missing torque are tried, further apart than this share of their rate, and
+#: looked for at so many rates in the width of one.
+_LINES, _APART, _FINE = 3, 0.15, 4.0
 
 
 def _lines(phase: FloatArray, torque: FloatArray, circle: float, lowest: float, highest: float) -> list[float]:
     """The rates (per unit of phase) between two at which the torque (N,) is most periodic, the strongest first.
 
-    All rates are looked at that close after `circle`: if that is twice the phase's range, no line is narrower than they
-    are apart. The phase is rounded to an eighth of the shortest period.
+    All rates are looked at that close after `circle`: as many in a line's width as it has ranges of the phase. The
+    phase is rounded to an eighth of the shortest period.
     """
     rate = 2.0 * math.pi / circle
     last = max(int(highest / rate), 1)
@@ -74,11 +75,11 @@ def grids(
         # A ripple is one that is seen to repeat three times; on more than half a turn, a whole number of times a turn.
         least = 3.0 * _TURN / travel
         turning = not longest.recording.output_unit.startswith("m") and travel > 3.0
-        circle, most = (_TURN, 60.0) if turning else (2.0 * travel, 30.0 * least)
+        circle, most = (_TURN, 60.0) if turning else (_FINE * travel, 30.0 * least)
         orders = _lines(missing.position[read], missing.torque[read], circle, least, most)
         out["torque_ripple"] = [{"ripple_order": n} for n in orders]
     slowest, fastest = _TURN * max(0.1, 2.0 / end), _TURN * min(25.0, 0.2 / missing.step)
-    rates = _lines(missing.time[read], missing.torque[read], 2.0 * end, slowest, fastest)
+    rates = _lines(missing.time[read], missing.torque[read], _FINE * end, slowest, fastest)
     out["periodic_disturbance"] = [{"disturbance_frequency": r / _TURN} for r in rates]
     out["thermal_fade"] = [
         {"fade_time": f * end, "fade_reference": span} for f in (0.15, 0.5, 1.5) if 1.0 <= f * end <= 3600.0
@@ -155,8 +156,8 @@ def offered(cases: Sequence[Case], candidates: Sequence[str]) -> list[str]:
     return [e for e in candidates if e not in out]
 
 
-#: Starts of such a candidate that are looked at closely, with derivatives.
-_CLOSELY = 3
+#: Starts of such a candidate that are looked at closely, with derivatives; steps of each, and more of the likeliest.
+_CLOSELY, _STEPS, _MORE = 3, 2, 3
 
 
 @dataclass(frozen=True)
@@ -264,8 +265,9 @@ def _direct_starts(
     # are judged.
     places.sort(key=lambda v: likelihood.evaluate(cases, structure, v, base.density).deviance)
     near = places[:_CLOSELY]
-    points = [likelihood.climb(cases, structure, v, base.density, free, rounds=5, tolerance=1.0) for v in near]
-    return [Start(p.values, {}, base.deviance - p.deviance + _promised(p)) for p in points]
+    points = [likelihood.climb(cases, structure, v, base.density, free, rounds=_STEPS, tolerance=1.0) for v in near]
+    found = likelihood.climb_on(cases, min(points, key=lambda p: p.deviance), rounds=_MORE, tolerance=1.0)
+    return [Start(found.values, {}, base.deviance - found.deviance + _promised(found))]
 
 
 @dataclass(frozen=True)
