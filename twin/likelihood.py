@@ -548,10 +548,12 @@ def climb_on(cases: Sequence[Case], best: Point, rounds: int, tolerance: float) 
         promised = float(2.0 * best.gradient @ change - change @ best.normal @ change)
         if promised < enough:
             return best
-        trial = evaluate(cases, best.structure, trial_values, best.density, best.free)
+        # Where one step was refused most of the next are, too: these are looked at without their slopes first.
+        trial = evaluate(cases, best.structure, trial_values, best.density, () if refused else best.free)
         gained = best.deviance - trial.deviance
         if gained > 0.0:
-            best, refused = trial, 0
+            best = evaluate(cases, best.structure, trial_values, best.density, best.free) if refused else trial
+            refused = 0
             damping = max(damping * (0.1 if gained > 0.5 * promised else 0.5), 1e-9)
             if gained < enough:
                 return best
