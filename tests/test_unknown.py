@@ -324,6 +324,16 @@ def test_what_has_no_name_wins_where_the_names_do_nothing_beside_it(key, name, t
     assert extend._outdone(found, nameless) is outdone
 
 
+@pytest.mark.parametrize(("key", "drawn"), [("hump", True), ("drag", False)])
+def test_beside_names_that_leave_little_only_what_is_ahead_of_them_is_drawn(key, drawn):
+    case, first = fitted(key)
+    found = Search(first, with_name(case, first, "quadratic_drag"), (), (case,))
+    before = unknown.leftover(case, first.structure, first.values)
+    nameless = extend._nameless(found, before, replace(before, share=0.5 * extend.FAINT))
+    assert ("unknown_velocity" in nameless.structure) is drawn
+    assert drawn or nameless is first
+
+
 def test_a_name_that_a_curve_has_swallowed_grows_again_beside_it():
     case, first = fitted("humped")
     last, nameless = with_name(case, first, "coulomb_friction"), with_curve([case], first, Term("velocity"))
