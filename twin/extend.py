@@ -37,8 +37,8 @@ from twin.recording import Recording
 from twin.search import UNSURE, Progress, Search
 from twin.writers import latex
 
-#: So many shapes without a name are drawn to the end; where names leave a smaller share of the missing torque only
-#: those that are ahead of them from the first steps on.
+#: So many shapes without a name are drawn to the end; none where names leave a smaller share of the missing torque and
+#: took away what depends on the state, or more.
 SKETCHES, FAINT = 2, 0.1
 #: An axis that is left to itself for so long in all shows what pulls at it, s.
 COASTS = 0.5
@@ -142,16 +142,15 @@ def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover) 
     """
     first, last = found.first, found.last
     bases, left = [first], [before]
-    named = last.structure != first.structure
-    if named and after.share >= FAINT:
+    if last.structure != first.structure:
+        if after.share < FAINT and unknown.removed(before, after) >= before.share:
+            return first
         bases.append(replace(first, values={n: last.values.get(n, v) for n, v in first.values.items()}))
         left.append(after)
     terms = dict.fromkeys(t for one in left for t in unknown.which_terms(one))
     with ThreadPoolExecutor(2) as pool:
         tried = pool.map(lambda pair: unknown.sketch(found.cases, *pair), itertools.product(bases, terms))
         best = sorted(tried, key=lambda p: p.deviance)[:SKETCHES]
-        if named and after.share < FAINT:
-            best = [p for p in best if compare.ahead(p, last) > 0.0]
         fits = list(pool.map(lambda p: unknown.finish(found.cases, p), best))
     return min(fits, key=lambda p: p.deviance, default=first)
 

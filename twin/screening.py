@@ -254,10 +254,10 @@ def _promised(point: Point) -> float:
     return float(g @ likelihood.solved(a, g))
 
 
-def _direct_starts(
+def _direct_start(
     cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]], free: tuple[str, ...]
-) -> list[Start]:
-    """Starts of a candidate that is tried as it is; what the rest of the model would regain is promised too."""
+) -> Start:
+    """The best start of a candidate that is tried as it is; what the rest of the model would regain is promised too."""
     structure = extended(base.structure, effect)
     unmoved = {k: v for k, v in neutral(effect).items() if k not in base.values}
     places = [ready.completed(structure, {**base.values, **unmoved, **_inside(t)}) for t in trials]
@@ -267,7 +267,7 @@ def _direct_starts(
     near = places[:_CLOSELY]
     points = [likelihood.climb(cases, structure, v, base.density, free, rounds=_STEPS, tolerance=1.0) for v in near]
     found = likelihood.climb_on(cases, min(points, key=lambda p: p.deviance), rounds=_MORE, tolerance=1.0)
-    return [Start(found.values, {}, base.deviance - found.deviance + _promised(found))]
+    return Start(found.values, {}, base.deviance - found.deviance + _promised(found))
 
 
 @dataclass(frozen=True)
@@ -298,10 +298,9 @@ def enter(cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapp
     held = set(ready.free_parameters(base.structure)) - set(base.free)
     free = tuple(n for n in ready.free_parameters(structure) if n not in held)
     if effect in _DIRECT:
-        starts = _direct_starts(mine, base, effect, trials, free)
+        best = _direct_start(mine, base, effect, trials, free)
     else:
-        starts = _nested_starts(mine, base, effect, trials)
-    best = max(starts, key=lambda s: s.promise)
+        best = max(_nested_starts(mine, base, effect, trials), key=lambda s: s.promise)
     places = [best.at(share) for share in (_SHARES if best.steps else (0.0,))]
     if len(places) > 1:
         places.sort(key=lambda v: likelihood.evaluate(mine, structure, v, base.density).deviance)

@@ -249,6 +249,11 @@ def is_left(found: Leftover) -> bool:
     return found.p_value < SURE and found.share >= LARGE
 
 
+def removed(before: Leftover, after: Leftover) -> float:
+    """By what share names made the mean square of the missing torque smaller."""
+    return 1.0 - (after.size / max(before.size, 1e-300)) ** 2
+
+
 def verdict(named: bool, before: Leftover, after: Leftover) -> str:
     """The contract's verdict, from what is left of the first model and of the last; `named`: effects were found.
 
@@ -256,8 +261,7 @@ def verdict(named: bool, before: Leftover, after: Leftover) -> str:
     """
     if not is_left(after):
         return "explained" if named else "nothing_missing"
-    removed = 1.0 - (after.size / max(before.size, 1e-300)) ** 2
-    return "partly_explained" if named and removed >= REMOVED else "unexplained"
+    return "partly_explained" if named and removed(before, after) >= REMOVED else "unexplained"
 
 
 # ---- the term ----
