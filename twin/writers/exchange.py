@@ -74,10 +74,12 @@ def margin(torque, forward, reverse, mode, velocity):
 
 def chosen(torque, forward, reverse):
     """The mode of a body at rest."""
+    # A solver stops a rounding before the balance. A body that is left at rest there has a margin that begins at zero,
+    # and that it changes its sign then no solver sees.
     mode = 0.0
-    if torque > forward:
+    if torque > 0.999999999 * forward:
         mode = 1.0
-    elif torque < -reverse:
+    elif torque < -0.999999999 * reverse:
         mode = -1.0
     return mode
 
