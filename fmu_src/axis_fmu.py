@@ -163,7 +163,7 @@ class Axis(Fmi2Slave):
                     self.move(step_size)
                     self.show()
                 self.clock = current_time + step_size
-                if finite(self.x[0] + self.x[1]):
+                if finite(sum(self.x)):
                     return True
                 problem = "the motion has become infinite or NaN: check the parameters"
         except Exception as error:

@@ -252,10 +252,6 @@ def test_stamps_left_out_change_nothing():
     assert np.allclose(some, whole[keep], rtol=0.0, atol=COUNT / 50)
 
 
-#: Effects whose successive impacts multiply any difference; they are held to a percentile.
-RATTLING = {"tooth_compliance": 0.85, "joint_elasticity": 0.9}
-
-
 @pytest.mark.parametrize("effect", [e for e in EFFECTS if e != "inertia"])
 def test_a_finer_step_moves_nothing_by_a_tenth_of_a_count(effect):
     moved = []
@@ -269,7 +265,7 @@ def test_a_finer_step_moves_nothing_by_a_tenth_of_a_count(effect):
         coarse, _ = run(structure, values, time, command, longest=0.002001 / structure.substeps)
         fine, _ = run(structure, values, time, command, longest=0.00005)
         moved.append(np.abs(coarse - fine).max())
-    assert np.quantile(moved, RATTLING.get(effect, 1.0)) < COUNT / 10
+    assert max(moved) < COUNT / 10
     assert np.median(moved) < COUNT / 20
 
 

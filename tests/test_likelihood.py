@@ -119,7 +119,7 @@ def rattling() -> tuple[Case, dict[str, float], float]:
     values = {
         "input_gain": 0.0335, "viscous_friction": 0.7, "dead_band_forward": 5.6, "dead_band_reverse": 9.0,
         "backlash_gap": 0.082, "motor_share": 0.12, "friction_share": 0.62, "tooth_frequency": 58.0,
-        "tooth_damping": 0.27,
+        "tooth_damping": 0.25,
     }  # fmt: skip
     time = np.arange(5000) * 0.002
     duty = 60.0 * np.sin(2.0 * np.pi * (0.1 + 0.395 * time) * time)

@@ -71,7 +71,7 @@ def test_held_and_rounded_readings_do_not_run_away_with_the_noise_density() -> N
     structure = Structure.of(["inertia", "viscous_friction"])
     case = likelihood.prepare(one, structure)
     found = likelihood.best_density([case], structure, {"input_gain": 50.0, "viscous_friction": 5.0})
-    assert found <= likelihood.density_of(case, 4.9 * likelihood.step_of(case))
+    assert found <= likelihood.density_of(case, 4.9 * case.step)
 
 
 def test_one_sensor_has_one_noise_however_quick_the_motion() -> None:

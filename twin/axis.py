@@ -158,19 +158,26 @@ def reaching(distance, speed, acceleration, limit):
         speed = -speed
         acceleration = -acceleration
     if distance > 0.0:
-        under = speed * speed + 2.0 * acceleration * distance
+        # Most of the time it is out of reach.
+        within = 0.0
         if speed > 0.0:
-            if under > 0.0:
-                time = 2.0 * distance / (speed + sqrt(under))
-        elif acceleration > 0.0:
-            time = (sqrt(under) - speed) / acceleration
+            within = limit * speed
+        if acceleration > 0.0:
+            within = within + 0.5 * limit * limit * acceleration
+        if within > distance:
+            under = speed * speed + 2.0 * acceleration * distance
+            if speed > 0.0:
+                if under > 0.0:
+                    time = 2.0 * distance / (speed + sqrt(under))
+            elif acceleration > 0.0:
+                time = (sqrt(under) - speed) / acceleration
     return time
 
 
 def stopping(speed, acceleration, limit):
     """Time until the speed is zero, or `limit` if it does not come to that."""
     time = limit
-    if speed * acceleration < 0.0:
+    if speed * (speed + limit * acceleration) < 0.0:
         time = -speed / acceleration
     return time
 
@@ -184,6 +191,27 @@ def faded(value):
     if value != 0.0 and value < 1e-150 and value > -1e-150:
         gone = 1
     return gone
+
+
+def cos_of_root(square):
+    """cos(sqrt(square)), which is cosh(sqrt(-square)) below zero; for squares between -4 and 4."""
+    return 1.0 + square * (-0.5 + square * (1.0 / 24.0 + square * (-1.0 / 720.0 + square * (1.0 / 40320.0
+        + square * (-1.0 / 3628800.0 + square * (1.0 / 479001600.0 - square / 87178291200.0))))))  # fmt: skip
+
+
+def sinc_of_root(square):
+    """sin(sqrt(square)) / sqrt(square), likewise."""
+    return 1.0 + square * (-1.0 / 6.0 + square * (1.0 / 120.0 + square * (-1.0 / 5040.0 + square * (1.0 / 362880.0
+        + square * (-1.0 / 39916800.0 + square * (1.0 / 6227020800.0 - square / 1307674368000.0))))))  # fmt: skip
+
+
+def halved(length, rate, most):
+    """A length, halved until it is no more than `most` at a rate: one that a parameter moved would have a slope."""
+    for _ in range(8):
+        if length * rate <= most:
+            break
+        length = 0.5 * length
+    return length
 
 
 def piece(x, p, k, command, h):
@@ -256,17 +284,41 @@ def piece(x, p, k, command, h):
         else:
             x.gap = -half
 
-    # Fine pieces while the light motor is alone in the gap, and while it rings against the link; a ringing that is left
-    # to coarse ones before it has died down ends elsewhere for every next to nothing that the model changes.
-    if side == 0 and h > 0.00025:
-        h = 0.00025
-    if elastic == 1 and side != 0 and rate * h > 0.08:
+    # Alone in the gap the light motor comes to its speed soon, and what is fine for the axis is coarse for it.
+    if side == 0:
+        if h > 0.0005:
+            h = 0.0005
+        h = halved(h, share * p.viscous_friction / mass_m, 0.015)
+    # What presses is a spring with a damper, whose motion between two torques is known (`flow`): in pieces that only
+    # the torques need. Where a flank lets go or a body stops within one, it is done in `fine` pieces as everything
+    # else is: a ringing that is left to coarse ones before it has died down ends elsewhere for every next to nothing
+    # that the model changes; what is damped so hard that a step would overshoot its rest would chatter.
+    flow = 0
+    lean = 0.0
+    fine = h
+    if elastic == 1 and side != 0:
+        if fine > 0.0005:
+            fine = 0.0005
+        ringing = 0
         if closing > 0.0002 or closing < -0.0002:
-            h = 0.08 / rate
-    # What is damped so hard that a step would overshoot its rest would chatter, and its slopes grow without bounds.
-    if elastic == 1 and side != 0 and decline * h > 1.0:
-        h = 1.0 / decline
-    # Likewise in a stop, also where the link turns around in it; what is on its way to a stop does not feel it yet.
+            ringing = 1
+        if ringing == 1:
+            fine = halved(fine, rate, 0.08)
+        fine = halved(fine, decline, 1.0)
+        if side == 2:
+            flow = 1
+        else:
+            lean = side * half
+            if tension(x.gap, closing, side, half, stiffness, damping) != 0.0:
+                flow = 1
+        if flow == 1:
+            if ringing == 1:
+                h = halved(h, rate, 0.5)
+            h = halved(h, rate, 3.0)
+            h = halved(h, decline, 4.0)
+        else:
+            h = fine
+    # Likewise fine in a stop, also where the link turns around in it; what is on its way to a stop does not feel it yet.
     if has.end_stop:
         depth = x.position - p.stop_upper
         ahead = -depth
@@ -275,17 +327,20 @@ def piece(x, p, k, command, h):
         if x.velocity < 0.0:
             ahead = p.stop_lower - x.position
         if depth >= 0.0:
+            flow = 0
+            if h > fine:
+                h = fine
             hard = sqrt(p.stop_stiffness)
-            if hard * h > 0.02:
-                h = 0.02 / hard
-            loss = p.stop_damping + p.stop_stiffness * p.stop_hysteresis * depth
-            if loss * h > 1.0:
-                h = 1.0 / loss
+            h = halved(h, hard, 0.02)
+            h = halved(h, p.stop_damping + p.stop_stiffness * p.stop_hysteresis * depth, 1.0)
         elif x.velocity * ahead > 0.0:
             until = ahead / x.velocity
             if until > 1e-9 and until < h:
                 h = until
-    middle = 0.5 * h
+    if fine > h:
+        fine = h
+    per_m = 1.0 / mass_m
+    per_l = 1.0 / mass_l
 
     # Whether the drive gives more or less on the way.
     varies = 0
@@ -298,156 +353,244 @@ def piece(x, p, k, command, h):
     warm = 0.0
     if has.thermal_fade:
         varies = 1
-    moment = x.time
-    place = x.position
-    speed_l = x.velocity
-    speed_m = x.motor_velocity
-    heat = x.heat
-    twist = x.gap
     gain_l = 0.0
     gain_m = 0.0
     acting = 0.0
     decay = 0.0
     together = 0
-    for stage in range(2):
-        if stage == 1:
-            moment = x.time + middle
-            place = x.position + middle * x.velocity
-            speed_l = x.velocity + middle * gain_l
-            if speed_l * x.velocity < 0.0:
-                speed_l = 0.0
-            speed_m = speed_l
-            if together == 0:
-                speed_m = x.motor_velocity + middle * gain_m
-                if speed_m * x.motor_velocity < 0.0:
-                    speed_m = 0.0
-            twist = x.gap + middle * closing
-            if has.thermal_fade:
-                heat = x.heat + (warm - x.heat) * middle / p.fade_time
-
-        if stage == 0 or varies == 1:
-            emf = 0.0
-            if has.supply_sag:
-                emf = p.viscous_friction * speed_m / p.input_gain
-            if has.thermal_fade:
-                emf = p.viscous_friction * speed_m / p.input_gain
-                if stage == 0:
-                    cold = drive(command, emf, 0.0, place + twist, p)
-                    warm = ((cold - p.fade_emf * emf) / p.fade_reference) ** 2
-            acting = drive(command, emf, heat, place + twist, p)
-        mean = acting
-        if has.motor_lag:
-            # The mean over the first half predicts the middle; the mean over the whole moves the axis.
-            if stage == 0:
-                decay = exp(-middle / p.lag_time)
-                mean = acting + (x.lag - acting) * (1.0 - decay) * p.lag_time / middle
-            else:
-                decay = decay * decay
-                mean = acting + (x.lag - acting) * (1.0 - decay) * p.lag_time / h
-        torque = p.input_gain * mean
-        pull = 0.0
-        if has.load:
-            pull = load(place, speed_l, moment, k.moment, p)
-        resist_l = drag(place, speed_l, p)
-        resist_m = resist_l
-        if speed_m != speed_l:
-            resist_m = drag(place, speed_m, p)
-
-        push_m = torque + share * resist_m
-        push_l = pull + (1.0 - share) * resist_l
-        if has.shaft:
-            turn_m = shaft(place + twist, p)
-            turn_l = shaft(place, p)
-            push_m = push_m + turned * turn_m
-            push_l = push_l + (1.0 - turned) * turn_l
-        # What the teeth transmit: the spring's torque, or what makes two bodies move as one.
-        through = 0.0
-        if elastic == 1:
-            through = tension(twist, speed_m - speed_l, side, half, stiffness, damping)
-            push_m = push_m - through
-            push_l = push_l + through
-        elif side != 0:
-            through = (push_m * mass_l - push_l * mass_m) * per_total
-            if side * through < 0.0 and side != 2:
-                through = 0.0
-        left_m = push_m
-        left_l = push_l
-        left = push_m + push_l
-        if has.grip:
-            forward = 0.0
-            reverse = 0.0
-            # Only what is at rest needs both.
-            if x.motor_velocity >= 0.0 or x.velocity >= 0.0:
-                forward = grip(place, speed_l, 1.0, through, p)
-                if forward < 0.0:
-                    forward = 0.0
-            if x.motor_velocity <= 0.0 or x.velocity <= 0.0:
-                reverse = grip(place, speed_l, -1.0, through, p)
-                if reverse < 0.0:
-                    reverse = 0.0
-            left_m = net(push_m, dry * forward, dry * reverse, x.motor_velocity)
-            left_l = net(push_l, (1.0 - dry) * forward, (1.0 - dry) * reverse, x.velocity)
-            left = net(left, forward, reverse, x.velocity)
+    hook = 1.0
+    whole = 1.0
+    turn = 0.0
+    yields = 0.0
+    after_l = 0.0
+    after_m = 0.0
+    twist_after = 0.0
+    closing_after = 0.0
+    for attempt in range(2):
+        if attempt == 1:
+            flow = 0
+            h = fine
+        middle = 0.5 * h
+        moment = x.time
+        place = x.position
+        speed_l = x.velocity
+        speed_m = x.motor_velocity
+        heat = x.heat
+        twist = x.gap
         together = 0
-        if elastic == 0:
-            if side == 2 or (side != 0 and side * (left_m * mass_l - left_l * mass_m) >= 0.0):
-                together = 1
-        if together == 1:
-            gain_l = left * per_total
-            gain_m = gain_l
-        else:
-            gain_m = left_m / mass_m
-            gain_l = left_l / mass_l
+        travel = 0.0
+        holds = 1
+        for stage in range(2):
+            if stage == 1:
+                moment = x.time + middle
+                if flow == 1:
+                    place = x.position + 0.5 * middle * (x.velocity + after_l)
+                    speed_l = after_l
+                    speed_m = after_m
+                    twist = twist_after
+                else:
+                    place = x.position + middle * x.velocity
+                    speed_l = x.velocity + middle * gain_l
+                    if speed_l * x.velocity < 0.0:
+                        speed_l = 0.0
+                    speed_m = speed_l
+                    if together == 0:
+                        speed_m = x.motor_velocity + middle * gain_m
+                        if speed_m * x.motor_velocity < 0.0:
+                            speed_m = 0.0
+                    twist = x.gap + middle * closing
+                if has.thermal_fade:
+                    heat = x.heat + (warm - x.heat) * middle / p.fade_time
+
+            if stage == 0 or varies == 1:
+                emf = 0.0
+                if has.supply_sag:
+                    emf = p.viscous_friction * speed_m / p.input_gain
+                if has.thermal_fade:
+                    emf = p.viscous_friction * speed_m / p.input_gain
+                    if stage == 0:
+                        cold = drive(command, emf, 0.0, place + twist, p)
+                        warm = ((cold - p.fade_emf * emf) / p.fade_reference) ** 2
+                acting = drive(command, emf, heat, place + twist, p)
+            mean = acting
+            if has.motor_lag:
+                # The mean over the first half predicts the middle; the mean over the whole moves the axis.
+                if stage == 0:
+                    decay = exp(-middle / p.lag_time)
+                    mean = acting + (x.lag - acting) * (1.0 - decay) * p.lag_time / middle
+                else:
+                    decay = decay * decay
+                    mean = acting + (x.lag - acting) * (1.0 - decay) * p.lag_time / h
+            torque = p.input_gain * mean
+            pull = 0.0
+            if has.load:
+                pull = load(place, speed_l, moment, k.moment, p)
+            resist_l = drag(place, speed_l, p)
+            resist_m = resist_l
+            if speed_m != speed_l:
+                resist_m = drag(place, speed_m, p)
+
+            push_m = torque + share * resist_m
+            push_l = pull + (1.0 - share) * resist_l
+            if has.shaft:
+                turn_m = shaft(place + twist, p)
+                turn_l = shaft(place, p)
+                push_m = push_m + turned * turn_m
+                push_l = push_l + (1.0 - turned) * turn_l
+            # What the teeth transmit: the spring's torque, or what makes two bodies move as one.
+            through = 0.0
+            if elastic == 1:
+                through = tension(twist, speed_m - speed_l, side, half, stiffness, damping)
+                push_m = push_m - through
+                push_l = push_l + through
+            elif side != 0:
+                through = (push_m * mass_l - push_l * mass_m) * per_total
+                if side * through < 0.0 and side != 2:
+                    through = 0.0
+            left_m = push_m
+            left_l = push_l
+            left = push_m + push_l
+            if has.grip:
+                forward = 0.0
+                reverse = 0.0
+                # Only what is at rest needs both.
+                if x.motor_velocity >= 0.0 or x.velocity >= 0.0:
+                    forward = grip(place, speed_l, 1.0, through, p)
+                    if forward < 0.0:
+                        forward = 0.0
+                if x.motor_velocity <= 0.0 or x.velocity <= 0.0:
+                    reverse = grip(place, speed_l, -1.0, through, p)
+                    if reverse < 0.0:
+                        reverse = 0.0
+                left_m = net(push_m, dry * forward, dry * reverse, x.motor_velocity)
+                left_l = net(push_l, (1.0 - dry) * forward, (1.0 - dry) * reverse, x.velocity)
+                left = net(left, forward, reverse, x.velocity)
+            together = 0
+            if elastic == 0:
+                if side == 2 or (side != 0 and side * (left_m * mass_l - left_l * mass_m) >= 0.0):
+                    together = 1
+            if together == 1:
+                gain_l = left * per_total
+                gain_m = gain_l
+            else:
+                gain_m = left_m * per_m
+                gain_l = left_l * per_l
+
+            if flow == 1:
+                # What friction holds does not move, and the other body swings against it.
+                yields_m = per_m
+                yields_l = per_l
+                if has.grip:
+                    if x.motor_velocity == 0.0 and left_m == 0.0:
+                        yields_m = 0.0
+                    if x.velocity == 0.0 and left_l == 0.0:
+                        yields_l = 0.0
+                if stage == 1 and yields_m + yields_l != yields:
+                    holds = 0
+                yields = yields_m + yields_l
+                after_l = x.velocity
+                after_m = x.motor_velocity
+                twist_after = x.gap
+                closing_after = closing
+                if yields > 0.0 and holds == 1:
+                    free_m = left_m + through
+                    free_l = left_l - through
+                    apart = free_m * yields_m - free_l * yields_l
+                    bent = apart - yields * stiffness * (x.gap - lean)
+                    lasts = middle
+                    if stage == 0:
+                        hook = yields * stiffness
+                        loss = yields * damping * middle
+                        bend = hook * middle * middle - 0.25 * loss * loss
+                        fades = exp(-0.5 * loss)
+                        swing = cos_of_root(bend)
+                        sway = sinc_of_root(bend)
+                        turn = middle * fades * sway
+                        whole = fades * (swing + 0.5 * loss * sway)
+                    else:
+                        # Once more as far.
+                        lasts = h
+                        first = turn
+                        turn = first * (2.0 * whole - yields * damping * first)
+                        whole = whole * whole - hook * first * first
+                    twist_after = x.gap + turn * closing + (1.0 - whole) * bent / hook
+                    closing_after = (whole - turn * yields * damping) * closing + turn * bent
+                    given = (apart * lasts - closing_after + closing) / yields
+                    after_m = x.motor_velocity + yields_m * (free_m * lasts - given)
+                    after_l = x.velocity + yields_l * (free_l * lasts + given)
+                    if stage == 1:
+                        shift = (0.5 * apart * h * h - twist_after + x.gap + closing * h) / yields
+                        travel = h * x.velocity + yields_l * (0.5 * h * h * free_l + shift)
+                if after_l * x.velocity <= 0.0 and after_l != x.velocity:
+                    holds = 0
+                if after_m * x.motor_velocity <= 0.0 and after_m != x.motor_velocity:
+                    holds = 0
+                if side != 2:
+                    if tension(twist_after, closing_after, side, half, stiffness, damping) == 0.0:
+                        holds = 0
+                if has.end_stop:
+                    if x.position + travel > p.stop_upper or x.position + travel < p.stop_lower:
+                        holds = 0
+                if holds == 0:
+                    break
+        if holds == 1:
+            break
 
     span = h
-    event = 0
-    stop = stopping(x.velocity, gain_l, h)
-    if stop < span:
-        event = 1
-        span = stop
-    if together == 0:
-        relative = gain_m - gain_l
-        stop = stopping(x.motor_velocity, gain_m, h)
+    if flow == 1:
+        x.position = x.position + travel
+        x.gap = twist_after
+        x.velocity = after_l
+        x.motor_velocity = after_m
+    else:
+        event = 0
+        stop = stopping(x.velocity, gain_l, h)
         if stop < span:
-            event = 2
+            event = 1
             span = stop
-        if side != 2:
-            meet = reaching(half - x.gap, closing, relative, h)
+        if together == 0:
+            relative = gain_m - gain_l
+            stop = stopping(x.motor_velocity, gain_m, h)
+            if stop < span:
+                event = 2
+                span = stop
+            if side != 2:
+                meet = reaching(half - x.gap, closing, relative, h)
+                if meet < span:
+                    event = 3
+                    span = meet
+                meet = reaching(-half - x.gap, closing, relative, h)
+                if meet < span:
+                    event = 4
+                    span = meet
+        if has.end_stop:
+            meet = reaching(p.stop_upper - x.position, x.velocity, gain_l, h)
             if meet < span:
-                event = 3
+                event = 5
                 span = meet
-            meet = reaching(-half - x.gap, closing, relative, h)
+            meet = reaching(p.stop_lower - x.position, x.velocity, gain_l, h)
             if meet < span:
-                event = 4
+                event = 6
                 span = meet
-    if has.end_stop:
-        meet = reaching(p.stop_upper - x.position, x.velocity, gain_l, h)
-        if meet < span:
-            event = 5
-            span = meet
-        meet = reaching(p.stop_lower - x.position, x.velocity, gain_l, h)
-        if meet < span:
-            event = 6
-            span = meet
-    if together == 0:
-        x.gap = x.gap + span * (closing + 0.5 * span * (gain_m - gain_l))
-    x.position = x.position + span * (x.velocity + 0.5 * span * gain_l)
-    x.velocity = x.velocity + span * gain_l
-    x.motor_velocity = x.motor_velocity + span * gain_m
-    if event == 1:
-        x.velocity = 0.0
-    elif event == 2:
-        x.motor_velocity = 0.0
-    elif event == 3:
-        x.gap = half
-    elif event == 4:
-        x.gap = -half
-    elif event == 5:
-        x.position = p.stop_upper
-    elif event == 6:
-        x.position = p.stop_lower
-    if together == 1:
-        x.motor_velocity = x.velocity
+        if together == 0:
+            x.gap = x.gap + span * (closing + 0.5 * span * (gain_m - gain_l))
+        x.position = x.position + span * (x.velocity + 0.5 * span * gain_l)
+        x.velocity = x.velocity + span * gain_l
+        x.motor_velocity = x.motor_velocity + span * gain_m
+        if event == 1:
+            x.velocity = 0.0
+        elif event == 2:
+            x.motor_velocity = 0.0
+        elif event == 3:
+            x.gap = half
+        elif event == 4:
+            x.gap = -half
+        elif event == 5:
+            x.position = p.stop_upper
+        elif event == 6:
+            x.position = p.stop_lower
+        if together == 1:
+            x.motor_velocity = x.velocity
 
     if has.motor_lag:
         if span < h:
@@ -485,4 +628,4 @@ def step(x, p, k, command, h):
 
 
 #: The stepper's functions, in the order in which they call one another.
-STEPPER = (net, tension, reaching, stopping, faded, piece, step)
+STEPPER = (net, tension, reaching, stopping, faded, cos_of_root, sinc_of_root, halved, piece, step)

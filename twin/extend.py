@@ -135,7 +135,7 @@ def _undecided(found: Search) -> tuple[Undecided, ...]:
 
 
 def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover) -> Point:
-    """The first model with the term of no known shape that serves it best; by itself where the names leave too little.
+    """The first model with the term of no known shape that serves it best; by itself where the names leave it nothing.
 
     `before` and `after` are what the first model and the last one lack. The names may have shown the first model's own
     parameters a better place.

@@ -166,11 +166,17 @@ def _serving(p: FloatArray) -> ModuleType:
     return compiled(EVERYTHING) if p[_UNKNOWN].any() else compiled()
 
 
-def vector(structure: Structure, values: dict[str, float]) -> FloatArray:
-    """Parameters and switches in the kernel's order; parameters of absent effects at their start value."""
+@cache
+def _unset(structure: Structure) -> FloatArray:
+    """The vector of a structure whose parameters all have their start value."""
     common = set(BASE) <= set(structure.ids) <= set(COMMON)
     switches = [*(i in structure for i in EVERYTHING.ids), *(slot in structure.slots for slot in SLOTS), common]
-    p = np.array([q.start for q in EVERYTHING.parameters] + [float(on) for on in switches])
+    return np.array([q.start for q in EVERYTHING.parameters] + [float(on) for on in switches])
+
+
+def vector(structure: Structure, values: dict[str, float]) -> FloatArray:
+    """Parameters and switches in the kernel's order; parameters of absent effects at their start value."""
+    p = _unset(structure).copy()
     for name, value in values.items():
         p[INDEX[name]] = value
     return p

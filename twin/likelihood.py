@@ -92,6 +92,28 @@ class Case:
         return np.asarray((lasts > _STILL)[np.cumsum(changed) - 1])
 
     @cached_property
+    def rounding(self) -> FloatArray:
+        """What rounding may take from each reading (N,) and is no error: a resting axis reads the same anywhere within
+        its count, and that is one error, not one at each stamp."""
+        return np.where(self.resting, 0.5 * self.recording.resolution, 0.0)
+
+    @cached_property
+    def passed_over(self) -> NDArray[np.bool_]:
+        """The stamps (N,) that are followed but not judged, for whatever reason."""
+        masks = [m for m in (self.unforeseen, self.rattling, self.beginning) if m is not None]
+        return np.any([np.zeros(len(self.drive.time), dtype=bool), *masks], axis=0)
+
+    @cached_property
+    def spread(self) -> float:
+        """Range of the readings, output unit."""
+        return float(np.nanmax(self.recording.output) - np.nanmin(self.recording.output))
+
+    @cached_property
+    def step(self) -> float:
+        """The usual time from reading to reading, s."""
+        return float(np.median(np.diff(self.drive.time)))
+
+    @cached_property
     def _waits(self) -> FloatArray:
         """The times between one reading and the next, s."""
         return np.asarray(np.diff(self.drive.time[np.isfinite(self.drive.measured)]))
@@ -239,20 +261,15 @@ def _start(case: Case, p: FloatArray, free: Sequence[str]) -> tuple[FloatArray, 
     return x, slope
 
 
-def step_of(case: Case) -> float:
-    """The usual time from reading to reading, s."""
-    return float(np.median(np.diff(case.drive.time)))
-
-
 def density_of(case: Case, memory: float) -> float:
     """The noise density, in units of the reading's variance, at which the filter forgets after `memory` seconds."""
-    step = step_of(case)
+    step = case.step
     return step / memory**2 if case.drive.speed else step / memory**4
 
 
 def memory_of(case: Case, density: float) -> float:
     """After how many seconds the filter forgets at a noise density; the inverse of `density_of`."""
-    return float((step_of(case) / density) ** (0.5 if case.drive.speed else 0.25))
+    return float((case.step / density) ** (0.5 if case.drive.speed else 0.25))
 
 
 def ahead(case: Case, density: float, horizon: float) -> Case:
@@ -260,7 +277,7 @@ def ahead(case: Case, density: float, horizon: float) -> Case:
     after a few memories of the filter in which it finds the state.
     """
     settled = min(5.0 * memory_of(case, density), 0.1 * float(case.drive.time[-1]))
-    lead = max(settled, LEAST_READINGS * step_of(case))
+    lead = max(settled, LEAST_READINGS * case.step)
     return replace(case, free=np.asarray(case.drive.time % (lead + horizon) >= lead), rattling=None)
 
 
@@ -268,9 +285,7 @@ def noise_for(case: Case, density: float) -> Noise:
     """The filter's beliefs about a case; a density of zero is a free run, from the first reading as it is."""
     if density == 0.0:
         return kernel.FREE
-    y = case.recording.output
-    spread = float(np.nanmax(y) - np.nanmin(y))
-    duration = max(float(case.drive.time[-1]), 1e-9)
+    spread, duration = case.spread, max(float(case.drive.time[-1]), 1e-9)
     velocity = (spread if case.drive.speed else max(spread / duration, 1e-3 * spread)) ** 2
     return Noise(density, 1.0, 1.0 if case.drive.speed else velocity / case.reading_variance, case.silence)
 
@@ -327,11 +342,8 @@ def pieces(
             # What drifts away in a free run is no reading's noise: the errors of all recordings are weighed alike.
             error[~case.free[at]] = np.nan
             variance = np.ones(len(error))
-        for followed in (case.unforeseen, case.rattling, case.beginning):
-            if followed is not None:
-                error[followed[at]] = np.nan
-        # Anywhere within its count a resting axis reads the same: rounding it is one error, not one at each stamp.
-        rounding = np.where(case.resting[at], 0.5 * case.recording.resolution, 0.0)
+        error[case.passed_over[at]] = np.nan
+        rounding = case.rounding[at]
         hidden = np.clip(error, -rounding, rounding)
         if free:
             run.slopes[np.abs(error) < rounding] = 0.0
@@ -640,9 +652,9 @@ def profile_interval(
 def _renewal(case: Case) -> float:
     """The usual time between readings that are new, s: a computed speed is often held over many stamps."""
     if not case.drive.speed:
-        return step_of(case)
+        return case.step
     read = case.drive.measured[np.isfinite(case.drive.measured)]
-    return step_of(case) * len(read) / max(int(np.count_nonzero(np.diff(read))), 1)
+    return case.step * len(read) / max(int(np.count_nonzero(np.diff(read))), 1)
 
 
 def densest(cases: Sequence[Case]) -> float:

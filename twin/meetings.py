@@ -56,7 +56,7 @@ def _unforeseen(case: Case, point: Point) -> NDArray[np.bool_]:
     spread = np.sqrt(density * alone**3 / 3.0)
     unsure = np.minimum(spread / np.maximum(speed[last], 1e-9), alone)
     error = share * (speed[last] if case.drive.speed else spread)
-    seen = (error > np.sqrt(variance)) & (unsure > likelihood.step_of(case))
+    seen = (error > np.sqrt(variance)) & (unsure > case.step)
     moment, reach = time[last + 1][seen], _WIDE * unsure[seen]
     begin = np.searchsorted(time, moment - reach)
     end = np.searchsorted(time, moment + reach + likelihood.memory_of(case, point.density))

@@ -76,7 +76,7 @@ def _stribeck(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
 
 def _lag(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     """It is not lost between two readings."""
-    return values["lag_time"] > 0.1 * max(likelihood.step_of(c) for c in cases)
+    return values["lag_time"] > 0.1 * max(c.step for c in cases)
 
 
 def _eccentricity(cases: Sequence[Case], values: Mapping[str, float]) -> bool:

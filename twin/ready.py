@@ -61,7 +61,8 @@ def prepare(recordings: Sequence[Recording], structure: Structure, closed: bool 
 def with_steps(cases: Sequence[Case], structure: Structure) -> list[Case]:
     """The cases with the internal step that the structure needs."""
     longest = 0.002 / structure.substeps * (1.0 + 1e-9)
-    return [replace(c, drive=replace(c.drive, longest=longest)) for c in cases]
+    # What a case has worked out about itself goes with it.
+    return [c if c.drive.longest == longest else replace(c, drive=replace(c.drive, longest=longest)) for c in cases]
 
 
 def part(case: Case, structure: Structure, begin: float, end: float) -> Case:

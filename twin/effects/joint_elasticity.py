@@ -35,5 +35,4 @@ EFFECT = Effect(
     equation=r"\lambda = k\,\mathrm{dz}_{g}(\theta_m - \theta) + d\,(\dot\theta_m - \dot\theta)",
     screen=Screen("joint_frequency", grid={"joint_frequency": (4.0, 10.0, 25.0)}),
     includes=("backlash",),
-    substeps=4,
 )

@@ -30,5 +30,4 @@ EFFECT = Effect(
     confused_with={"joint_elasticity": "reversals: teeth ring above some 40 Hz, a joint below"},
     equation=r"\lambda = k\,\mathrm{dz}_{g}(\theta_m - \theta) + d\,(\dot\theta_m - \dot\theta)",
     includes=("backlash",),
-    substeps=4,
 )

@@ -110,7 +110,10 @@ class _Function:
         expression = _symbolic(value)
         symbols = sorted(expression.free_symbols, key=str)
         names = [(s, self._name(str(s))) for s in symbols]
-        return _sum((sympy.diff(expression, s), name) for s, name in names if name)
+        partials = [(sympy.diff(expression, s), name) for s, name in names if name]
+        if len(symbols) == 1 and expression.is_polynomial():
+            partials = [(sympy.horner(partial), name) for partial, name in partials]
+        return _sum(partials)
 
     def _emit(self, indent: int, text: str) -> None:
         self.lines.append("    " * indent + text)
