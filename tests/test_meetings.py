@@ -135,7 +135,7 @@ def test_without_its_rattle_a_recording_leads_to_the_truth_from_nearby() -> None
     assert case.rattling is not None and 0.2 < case.rattling.mean() < 0.8
     density, free = likelihood.density_of(case, 0.1), ready.free_parameters(TEETH)
     rng = np.random.default_rng(0)
-    starts = [{n: v * np.exp(0.1 * rng.standard_normal()) for n, v in SOFT.items()} for _ in range(4)]
+    starts = [{n: v * np.exp(0.1 * rng.standard_normal()) for n, v in SOFT.items()} for _ in range(16)]
 
     def astray(judged: Case) -> list[float]:
         """How far above the truth's own maximum the climbs end, in deviance per reading that is judged."""

@@ -207,7 +207,7 @@ def sinc_of_root(square):
 
 def halved(length, rate, most):
     """A length, halved until it is no more than `most` at a rate: one that a parameter moved would have a slope."""
-    for _ in range(8):
+    for _ in range(12):
         if length * rate <= most:
             break
         length = 0.5 * length
@@ -219,7 +219,8 @@ def piece(x, p, k, command, h):
 
     Torques are those at the predicted middle of the piece, so it is of second order; for torques of position
     alone it is the symplectic leapfrog. Under constant torques positions are parabolas, and the first stick,
-    reversal or contact on them ends the piece: the next one starts with torques as they are there.
+    reversal or contact on them ends the piece: the next one starts with torques as they are there. While elastic teeth
+    press, what lies between two torques is no parabola but the swing of a damped spring, which is known as well.
     """
     if has.load_change:
         until = p.load_time - x.time
@@ -318,7 +319,7 @@ def piece(x, p, k, command, h):
             h = halved(h, decline, 4.0)
         else:
             h = fine
-    # Likewise fine in a stop, also where the link turns around in it; what is on its way to a stop does not feel it yet.
+    # Likewise fine in a stop, also where the link turns around in it; on its way there it does not feel it yet.
     if has.end_stop:
         depth = x.position - p.stop_upper
         ahead = -depth

@@ -101,7 +101,7 @@ class Case:
     def passed_over(self) -> NDArray[np.bool_]:
         """The stamps (N,) that are followed but not judged, for whatever reason."""
         masks = [m for m in (self.unforeseen, self.rattling, self.beginning) if m is not None]
-        return np.any([np.zeros(len(self.drive.time), dtype=bool), *masks], axis=0)
+        return np.asarray(np.any([np.zeros(len(self.drive.time), dtype=bool), *masks], axis=0))
 
     @cached_property
     def spread(self) -> float:
