@@ -91,6 +91,33 @@ def test_a_slow_torque_has_to_do_no_more_than_a_shorter_memory_leaves_of_it(monk
         assert explain.shows([case], point, larger) is shown
 
 
+@pytest.mark.parametrize(
+    ("before", "left", "shown"), [(40.0, 1.5, True), (40.0, 1.0, False), (20.0, 1.5, False), (40.0, 4.0, True)]
+)
+def test_a_filter_that_can_know_too_little_vetoes_only_what_does_less_than_half(
+    monkeypatch, before, left, shown
+) -> None:
+    """A sixteenth of 40 is less than a parameter's price: what was sure at twice the memory is asked for half of it."""
+    case = likelihood.prepare(
+        Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
+    )
+    density = likelihood.density_of(case, 0.1)
+    point = likelihood.Point(Structure.of(BASE), {}, density, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    larger = replace(point, values={"gain": 1.0}, free=("gain",), deviance=-16.0 * before)
+
+    def short(at: float) -> bool:
+        return likelihood.memory_of(case, at) < 0.03
+
+    def climb(cases, structure, values, density, free, rounds, tolerance):
+        gained = left if short(density) else before
+        return replace(larger if values else point, density=density, deviance=-gained if values else 0.0)
+
+    monkeypatch.setattr(compare, "worth", lambda points: 1.0 if short(points[0].density) else explain.WHITE)
+    monkeypatch.setattr(meetings, "foreseeable", lambda cases, point: cases)
+    monkeypatch.setattr(likelihood, "climb", climb)
+    assert explain.shows([case], point, larger) is shown
+
+
 @pytest.mark.parametrize(("left", "shown"), [(-1.0, False), (2.0, False), (5.0, True)])
 def test_a_curve_pays_for_its_knots_once(monkeypatch, left, shown) -> None:
     """A shorter memory, to which a slow torque is a sixteenth, is asked whether it is there, not for twelve prices."""
@@ -104,7 +131,7 @@ def test_a_curve_pays_for_its_knots_once(monkeypatch, left, shown) -> None:
     monkeypatch.setattr(compare, "worth", lambda points: explain.WHITE if points[0].density == density else 1.0)
     monkeypatch.setattr(compare, "earns", lambda *args: True)
     monkeypatch.setattr(meetings, "foreseeable", lambda cases, point: cases)
-    monkeypatch.setattr(explain, "KEPT", 0.0)
+    monkeypatch.setattr(explain, "KEPT", 1.0 / 64.0)
 
     def climb(cases, structure, values, density, free, rounds, tolerance):
         return replace(larger if values else point, density=density, deviance=-left if values else 0.0)

@@ -101,6 +101,19 @@ def test_a_rival_takes_its_share_and_a_larger_model_none(also):
     assert pair.ids == ("gravity", "spring") and sum(pair.probabilities) == pytest.approx(known)
 
 
+def test_what_one_name_explains_about_as_well_as_two_is_the_one():
+    """While it slides, friction that is larger one way is friction and a constant torque."""
+    two, one = point(1000.0, "coulomb_friction", "constant_offset"), point(1000.0, "friction_asymmetry")
+    assert search.behind(one, two) == -UNSURE == -search.behind(two, one)
+    clear = point(1000.0 + 2.0 * UNSURE, "friction_asymmetry")
+    assert search.behind(clear, two) == UNSURE == -search.behind(two, clear)
+    # Each other exchange is one name for one.
+    assert search.behind(point(1005.0, "gravity"), point(1000.0, "spring")) == 5.0
+    found = Search(point(9000.0), one, (), (), (point(9000.0),), (Swap("friction_asymmetry", "constant_offset", two),))
+    given = extend._probabilities(found)[0]["friction_asymmetry"] / (1.0 - compare.OTHER)
+    assert given == pytest.approx(1.0 / (1.0 + np.exp(-UNSURE / (2.0 * compare.TEMPER))))
+
+
 def test_the_user_is_told_of_both():
     told = finding.to_json(example())["undecided"]
     assert told == [

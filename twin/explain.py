@@ -49,6 +49,8 @@ WHITE = 2.0
 #: What is there shows to filters that forget so many times as fast, too, each twice as fast as the one before, down to
 #: this memory, s; of what it does to the likelihood a slow torque keeps this share when the memory is halved.
 FASTER, BRIEFEST, KEPT = (2.0, 4.0), 0.02, 1.0 / 16.0
+#: Units that make a filter sure of what the next one, which forgets faster, can know too little of.
+SURE = 0.5 * compare.LEAST
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +113,8 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
     A light motor that rattles in its gap bounces as no model foresees, and a filter that trusts the model longer than
     a bounce rewards whatever moves the bounces to where they happened to be. A shorter memory asks for the same
     physics and is not led astray so far; but it forgets a weak and slow torque: half as long, it knows a sixteenth of
-    it. So none is asked that is shorter than it need be, and none for more than such a torque could do there.
+    it. So none is asked that is shorter than it need be, and none for more than such a torque could do there: where
+    that is too little to be preferred, half of it will do if the filter before was sure.
     """
     if not compare.earns(before, after, max(identify.roughness(cases, before), identify.roughness(cases, after))):
         return False
@@ -123,13 +126,14 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
     memory = likelihood.memory_of(cases[0], before.density)
     smaller, larger, least = before, after, 0.0
     for shorter in (memory / times for times in FASTER):
-        gain = smaller.deviance - larger.deviance
-        if shorter < BRIEFEST or (compare.worth([smaller, larger]) < WHITE and gain >= least):
+        gain, unit = smaller.deviance - larger.deviance, compare.worth([smaller, larger])
+        if shorter < BRIEFEST or (unit < WHITE and gain >= least):
             break
-        least = KEPT * gain
+        least, sure = KEPT * gain, gain > SURE * unit
         smaller, larger = _adapted(cases, before, after, likelihood.density_of(cases[0], shorter))
         if not _still(smaller, larger):
-            return False
+            too_little = least < compare.PRICE * compare.worth([smaller, larger])
+            return sure and too_little and smaller.deviance - larger.deviance > 0.5 * least
     return True
 
 

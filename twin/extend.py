@@ -80,7 +80,7 @@ def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, fl
             continue
         contest = search.contest_of(found.rounds, found.last.structure, effect)
         against = {h.added[0]: max(behind, 0.0) for h, behind in contest.rivals}
-        against |= {w.rival: compare.ahead(found.last, w.point) for w in found.swaps if w.effect == effect}
+        against |= {w.rival: search.behind(w.point, found.last) for w in found.swaps if w.effect == effect}
         without = [compare.earned(q, found.last) for q in found.lesser if effect not in q.structure]
         weight = compare.weights([0.0, *against.values(), *([min(without)] if without else [])])
         named[effect] = float(weight[0])

@@ -50,6 +50,15 @@ class Search:
     swaps: tuple[Swap, ...] = ()
 
 
+def behind(rival: Point, last: Point) -> float:
+    """By how many units a rival is behind the last model, in criterion and brevity.
+
+    What one effect explains about as well as two do is more likely to be that one: each name costs what leaves two
+    explanations undecided.
+    """
+    return compare.ahead(last, rival) + UNSURE * (len(rival.structure.named) - len(last.structure.named))
+
+
 def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
     """The structure less one effect each, with and without what that effect brought along."""
     out = []
@@ -143,8 +152,8 @@ def find(
         best, lesser = _pruned(cases, grown, begun, held)
         begun = min((q for q in lesser if q.structure == begun.structure), key=lambda p: p.deviance, default=begun)
         swaps = _swapped(cases, best, lesser, rounds, held)
-        better = max(swaps, key=lambda w: compare.ahead(w.point, best), default=None)
-        if better is not None and compare.ahead(better.point, best) > 0.0:
+        better = min(swaps, key=lambda w: behind(w.point, best), default=None)
+        if better is not None and behind(better.point, best) < 0.0:
             # The rival had lost beside what was still missing then; now it is the one that fits, and more may show.
             ousted = best
             best, lesser = _pruned(cases, better.point, begun, held)
