@@ -48,8 +48,11 @@ void bare_loop(const double *duty, double *position, long count, double step, co
                     v = w = mass_m * w + mass_l * v;
                 gap = side * half;
                 closing = 0.0;
-            } else if (h > 0.00025) {
-                h = 0.00025;
+            } else {
+                if (h > 0.0005)
+                    h = 0.0005;
+                while (h * b_m / mass_m > 0.015)
+                    h *= 0.5;
             }
             double at_m = w, at_l = v, a_m = 0.0, a_l = 0.0;
             int together = 0;

@@ -2,6 +2,7 @@
 
     python scripts/bench.py            # all of it
     python scripts/bench.py kernel     # a part: kernel, fmu, identify or commands
+    python scripts/bench.py diagnose   # fresh rigs with one effect concealed, and with two; not among "all of it"
     python scripts/bench.py long       # time and memory on recordings of up to an hour; not among "all of it"
 """
 
@@ -119,6 +120,26 @@ def bench_identify() -> None:
             print(f"  {stage:40} {wall:6.2f}   {cpu:6.2f}{ratio}")
 
 
+def bench_diagnose(trials: int = 8, seconds: float = 60.0) -> None:
+    """Print how long a diagnosis takes, stage by stage, of as many rigs of the second simulator as trials."""
+    from blind_trial import START, make
+
+    from twin import extend, fitting, kernel, ready
+
+    fitting.compile_kernel(lambda sentence, share: None)
+    kernel.warm(ready.base_structure().with_("unknown_time"))
+    for kind in ("single", "pair"):
+        walls = []
+        for trial in range(trials):
+            label, _, recording = make(83, trial, (kind,), seconds, "circuit")
+            found = extend.diagnose([recording], START)
+            walls.append(sum(found.seconds.values()))
+            stages = ", ".join(f"{stage} {s:.1f}" for stage, s in found.seconds.items())
+            hidden = " + ".join(e.id for e in label.effects)
+            print(f"{hidden}, {label.excitation}: {walls[-1]:.1f} s ({stages})", flush=True)
+        print(f"{kind}, {seconds:g} s at 2 ms: median {np.median(walls):.1f} s, longest {max(walls):.1f} s", flush=True)
+
+
 def bench_commands() -> None:
     """Print how long the commands take on the recording that ships with the project."""
     rig = SHIPPED.with_name("rig.toml")
@@ -137,9 +158,10 @@ if __name__ == "__main__":
 
     parts = {"kernel": bench_kernel, "fmu": bench_fmu, "identify": bench_identify, "commands": bench_commands}
     usual = tuple(parts)
-    parts["long"] = bench_long
+    parts |= {"long": bench_long, "diagnose": bench_diagnose}
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("part", nargs="*", metavar="PART", help=f"{', '.join(parts)}; all but the last unless given")
+    usual_ones = f"{', '.join(parts)}; all but the last two unless given"
+    parser.add_argument("part", nargs="*", metavar="PART", help=usual_ones)
     given = parser.parse_args().part
     if unknown := [part for part in given if part not in parts]:
         parser.error(f"there is no part {unknown[0]!r}: choose from {', '.join(parts)}")

@@ -6,14 +6,18 @@ import re
 import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
+import bench
 import fmu_cost
 import long_recording
 import modestpy_comparison
+
+from twin import extend
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler is installed")
@@ -37,6 +41,15 @@ def test_time_and_memory_of_a_recording_are_printed(capsys):
     found = re.fullmatch(r"twin identify, +0 min, +6000 samples: +\d+ s .* memory +(\d+) MB; .*: (\w+), \S+ %\n", said)
     assert found, said
     assert int(found[1]) > 100 and found[2] in long_recording.VALUES
+
+
+def test_time_of_a_diagnosis_is_printed_by_stage(monkeypatch, capsys):
+    found = SimpleNamespace(seconds={"search": 3.0, "x": 0.5})
+    monkeypatch.setattr(extend, "diagnose", lambda recordings, first: found)
+    bench.bench_diagnose(trials=1, seconds=4.0)
+    single, one, pair, two = capsys.readouterr().out.splitlines()
+    assert single.endswith(": 3.5 s (search 3.0, x 0.5)") and " + " not in single and " + " in pair
+    assert one == "single, 4 s at 2 ms: median 3.5 s, longest 3.5 s" and two.startswith("pair, ")
 
 
 def test_the_fit_that_others_are_compared_with_finds_the_truth(capsys):
