@@ -152,7 +152,8 @@ def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover) 
         tried = pool.map(lambda pair: unknown.sketch(found.cases, *pair), itertools.product(bases, terms))
         best = sorted(tried, key=lambda p: p.deviance)[:SKETCHES]
         fits = list(pool.map(lambda p: unknown.finish(found.cases, p), best))
-    return min(fits, key=lambda p: p.deviance, default=first)
+    # What the first model lacked may have led its gap and teeth far astray.
+    return min((unknown.relocated(found.cases, p) for p in fits), key=lambda p: p.deviance, default=first)
 
 
 def _outdone(found: Search, nameless: Point) -> bool:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from twin import likelihood, locate, ready
+from twin import likelihood, locate, ready, valleys
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.effects.knots import KNOTS, names, spots, through
@@ -407,6 +407,12 @@ def finish(cases: Sequence[Case], sketched: Point) -> Point:
     """The maximum from a sketch."""
     mine = ready.with_steps(cases, sketched.structure)
     return likelihood.climb(mine, sketched.structure, sketched.values, sketched.density, sketched.free)
+
+
+def relocated(cases: Sequence[Case], point: Point) -> Point:
+    """The point, or a better one where gap, shares and teeth are looked for anew; what is not free stays as it is."""
+    free = ready.free_parameters(point.structure)
+    return valleys.relocated(cases, point, {n: point.values[n] for n in free if n not in point.free})
 
 
 #: What can draw the tables that are not drawn by the term over their first variable.
