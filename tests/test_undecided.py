@@ -141,6 +141,16 @@ def test_what_looked_better_than_the_winner_and_did_not_show_is_no_rival():
     assert [h.added for h, _ in contest.rivals] == [("gravity",)]
 
 
+def test_a_round_that_nothing_won_says_nothing_of_what_later_took_a_place():
+    first = tuple(Hypothesis((e,), point(c, e)) for e, c in (("input_delay", 1000.0), ("motor_lag", 1004.0)))
+    joint = point(1002.0, "joint_elasticity")
+    later = (("gravity", 990.0), ("motor_lag", 999.0))
+    others = tuple(Hypothesis((e,), point(c, "joint_elasticity", e)) for e, c in later)
+    rounds = [Round(point(3000.0), first, 1.0), Round(joint, others, 1.0, won=False)]
+    contest = search.contest_of(rounds, Structure.of([*BASE, "motor_lag"]), "motor_lag")
+    assert [(h.added, behind) for h, behind in contest.rivals] == [(("input_delay",), -4.0)]
+
+
 @pytest.mark.parametrize(("reached", "shows", "kept"), [(995.0, True, 1), (995.0, False, 0), (2000.0, False, 1)])
 def test_a_rival_takes_the_place_only_of_what_it_shows_without(monkeypatch, reached, shows, kept):
     """It may be better by the likelihood and still be the bounces' doing; far behind it need not be asked."""

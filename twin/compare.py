@@ -21,10 +21,11 @@ PRICE = 3.0
 #: a true name (circuit, seed 59083) what was not there earned up to 21.6, and as many earned 10 to 22 that were there.
 LEAST = 22.0
 #: Chance that what passes for one of the candidates is something that none of them describes, and units that count as
-#: one of log-odds times two: a model that errs a little makes likelihoods too sure. For the 222 names that
-#: scripts/blind_trial.py --simulator circuit --seed 59083 gave, 8 to 12 are equally likely, and 6 and 20 are less so.
+#: one of log-odds times two: a model that errs a little makes likelihoods too sure. For 393 names that
+#: scripts/blind_trial.py gave (61091 and 69061 from 31, on the circuit 59083 and 71069 from 156) 6, 7 and 8 are about
+#: equally likely, and 10 is less so.
 OTHER = 0.03
-TEMPER = 8.0
+TEMPER = 7.0
 #: What a unit is worth where the slopes of all rivals have run away: as little as where a motor rattles without end.
 WORST = 100.0
 

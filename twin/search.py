@@ -176,14 +176,15 @@ class Contest:
 
 
 def contest_of(rounds: Sequence[Round], last: Structure, effect: str) -> Contest:
-    """The last round that an effect of the last model won.
+    """The last round that was won and that an effect of the last model was in, at whatever place: what had lost to a
+    rival may have taken its place since.
 
     A rival that contains the effect and more does not deny it; one that is in the last model, too, took nothing away;
     and what did not show has no share.
     """
     for this in reversed(rounds):
         own = {h.added[0]: compare.criterion(h.point, this.unit) for h in this.rivals if effect in h.point.structure}
-        if effect not in this.before.structure and own:
+        if this.won and effect not in this.before.structure and own:
             # An effect that another one brought along stands for itself where it ran, too.
             best = own.get(effect, min(own.values()))
             others = [h for h in this.rivals if effect not in h.point.structure and h.added[0] not in last]
