@@ -289,7 +289,11 @@ def piece(x, p, k, command, h):
     if side == 0:
         if h > 0.0005:
             h = 0.0005
-        h = halved(h, share * p.viscous_friction / mass_m, 0.015)
+        slows = share * p.viscous_friction / mass_m
+        # No motor that there is stops sooner.
+        if slows > 200.0:
+            slows = 200.0
+        h = halved(h, slows, 0.015)
     # What presses is a spring with a damper, whose motion between two torques is known (`flow`): in pieces that only
     # the torques need. Where a flank lets go or a body stops within one, it is done in `fine` pieces as everything
     # else is: a ringing that is left to coarse ones before it has died down ends elsewhere for every next to nothing
@@ -606,11 +610,12 @@ def piece(x, p, k, command, h):
 def step(x, p, k, command, h):
     """Move the axis by h under a constant command, from event to event.
 
-    Two bodies meet a handful of events in a step; the loop's bound is never met in motion.
+    Two bodies meet a handful of events in a step, and the hardest stop asks for some hundred pieces of it: the loop's
+    bound is never met in motion.
     """
     span = piece(x, p, k, command, h)
     remaining = h - span
-    for _ in range(128):
+    for _ in range(1024):
         if remaining <= 0.0:
             break
         span = piece(x, p, k, command, remaining)
