@@ -43,7 +43,7 @@ def test_a_memory_that_grows_leads_from_another_gap_and_other_teeth_to_the_truth
     """A climb with the memory at which all ends gets no further than a valley nearby."""
     cases = ready.with_steps(ready.prepare([made(10000)], STRUCTURE), STRUCTURE)
     free = ready.free_parameters(STRUCTURE)
-    apart = {"backlash_gap": gap, "motor_share": 0.3 * 0.03 / gap, "tooth_frequency": 120.0, "tooth_damping": 0.4}
+    apart = {"backlash_gap": gap, "motor_share": 0.3 * 0.03 / gap, "tooth_frequency": 80.0, "tooth_damping": 0.4}
     point = ascent._lengthened(cases, STRUCTURE, VALUES | apart, free)
     assert point.values["backlash_gap"] == pytest.approx(VALUES["backlash_gap"], rel=0.03)
     assert point.values["tooth_frequency"] == pytest.approx(VALUES["tooth_frequency"], rel=0.05)
@@ -84,7 +84,7 @@ def test_a_linear_axis_is_the_same_rig_seen_at_a_pinion() -> None:
 def test_from_where_no_slope_leads_to_the_truth_breeding_does() -> None:
     cases = ready.with_steps(ready.prepare([made(7000)], STRUCTURE), STRUCTURE)
     free = ready.free_parameters(STRUCTURE)
-    apart = {"backlash_gap": 0.012, "motor_share": 0.75, "tooth_frequency": 120.0, "tooth_damping": 0.4}
+    apart = {"backlash_gap": 0.012, "motor_share": 0.75, "tooth_frequency": 80.0, "tooth_damping": 0.4}
     astray = ascent._lengthened(cases, STRUCTURE, VALUES | apart, free)
     assert astray.values["backlash_gap"] < 0.5 * VALUES["backlash_gap"]
     bred = ascent._bred(cases, astray)
