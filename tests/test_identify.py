@@ -84,7 +84,7 @@ def test_a_linear_axis_is_the_same_rig_seen_at_a_pinion() -> None:
 def test_from_where_no_slope_leads_to_the_truth_breeding_does() -> None:
     cases = ready.with_steps(ready.prepare([made(7000)], STRUCTURE), STRUCTURE)
     free = ready.free_parameters(STRUCTURE)
-    apart = {"backlash_gap": 0.012, "motor_share": 0.75, "tooth_frequency": 80.0, "tooth_damping": 0.4}
+    apart = {"backlash_gap": 0.012, "motor_share": 0.75, "tooth_frequency": 120.0, "tooth_damping": 0.4}
     astray = ascent._lengthened(cases, STRUCTURE, VALUES | apart, free)
     assert astray.values["backlash_gap"] < 0.5 * VALUES["backlash_gap"]
     bred = ascent._bred(cases, astray)

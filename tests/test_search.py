@@ -168,6 +168,7 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
     for effect, name, kept, bent in (
         ("torque_ripple", "ripple_order", 7.0, 1.0),
         ("periodic_disturbance", "disturbance_frequency", 1.7, 0.1),
+        ("periodic_disturbance", "disturbance_frequency", 4.0, 8.0),  # 0.16 and 0.04 counts
         ("spring", "spring_rest", 5.0, 50.0),
         ("joint_elasticity", "motor_share", 0.3, 0.02),
         ("joint_elasticity", "motor_share", 0.9, 0.98),
@@ -181,7 +182,7 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
     ):
         structure = Structure.of([*BASE, effect])
         cases = [likelihood.prepare(turning, structure)]
-        values = ready.completed(structure, {})
+        values = ready.completed(structure, {"disturbance": 0.01})
         for value, right in ((kept, True), (bent, False)):
             point = likelihood.evaluate(cases, structure, {**values, name: value}, 1.0)
             assert plausible(cases, point) is right, (effect, value)

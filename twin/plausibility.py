@@ -15,6 +15,9 @@ Rule = Callable[[Sequence[Case], Mapping[str, float]], bool]
 
 #: What repeats has been seen so many times.
 REPEATS = 2.0
+#: A wave that moves what is read by less than this share of a count is one of its rounding: along a steady motion that
+#: repeats, too, at a frequency of its own.
+ROUNDED = 0.1
 #: Share of a disturbance's wave that follows the motion from which on it does not come from outside.
 OWN = 0.8
 #: Where a wave has no size nothing holds its phase, and a climb throws it further than this, rad.
@@ -43,9 +46,12 @@ def _ripple(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
 
 
 def _disturbance(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
-    """It has repeated, and comes from outside."""
+    """It has repeated, moves more than rounding does, and comes from outside."""
     cycles = values["disturbance_frequency"] * max(float(c.drive.time[-1]) for c in cases)
-    return cycles >= REPEATS and all(_follows(c, values) < OWN for c in cases)
+    rate = 2.0 * math.pi * values["disturbance_frequency"]
+    moved = abs(values["disturbance"]) / rate ** (1 if cases[0].drive.speed else 2)
+    moves = any(moved > ROUNDED * c.recording.resolution for c in cases)
+    return cycles >= REPEATS and moves and all(_follows(c, values) < OWN for c in cases)
 
 
 def _load(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
