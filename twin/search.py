@@ -191,8 +191,8 @@ def contest_of(rounds: Sequence[Round], last: Structure, effect: str) -> Contest
             tried = [(h, compare.criterion(h.point, this.unit)) for h in others]
             # What looked better than the winner was refused.
             won = compare.criterion(this.rivals[0].point, this.unit)
-            behind = tuple((h, c - best) for h, c in tried if c >= won)
-            return Contest(compare.criterion(this.before, this.unit) - best, behind)
+            rivals = tuple((h, c - best) for h, c in tried if c >= won)
+            return Contest(compare.criterion(this.before, this.unit) - best, rivals)
     return Contest(0.0, ())
 
 
@@ -207,8 +207,8 @@ def _swapped(
     for effect in last.structure.named:
         contest = contest_of(rounds, last.structure, effect)
         margin = max(UNSURE, NARROW * contest.gain)
-        for h, behind in contest.rivals:
-            if behind < margin:
+        for h, short in contest.rivals:
+            if short < margin:
                 rest = last.structure.without(effect, *last.structure.brought_by(effect))
                 own, other = h.point, rest.with_(*h.added)
                 starts = ({**own.values, **last.values}, {**last.values, **own.values})
