@@ -107,6 +107,7 @@ class Answer:
     after: float
     seconds: float
     says: str = ""  # of a failure
+    undecided: tuple[tuple[str, str], ...] = ()  # pairs that it says the recording cannot tell apart
 
     @property
     def names(self) -> set[str]:
@@ -140,6 +141,12 @@ class Outcome:
     @property
     def exact(self) -> bool:
         return self.first_right and self.answer.names == set(self.label.names)
+
+    @property
+    def doubted(self) -> bool:
+        """Whether all that is there is either named or in a pair that the tool says it cannot tell apart."""
+        said = self.answer.names.union(*self.answer.undecided)
+        return set(self.label.names) <= said
 
     @property
     def achieved(self) -> float:
@@ -218,9 +225,8 @@ def ask(recording: Recording, candidates: Sequence[str] = CANDIDATES) -> Answer:
         return Answer(FAILED, (), math.nan, math.nan, time.perf_counter() - begun, f"{type(error).__name__}: {error}")
     held_out = found.fit["holdout"]
     findings = tuple((f.id, float(f.probability)) for f in found.findings)
-    return Answer(
-        found.verdict, findings, held_out["before"].rmse, held_out["after"].rmse, time.perf_counter() - begun
-    )
+    seconds, pairs = time.perf_counter() - begun, tuple(u.ids for u in found.undecided)
+    return Answer(found.verdict, findings, held_out["before"].rmse, held_out["after"].rmse, seconds, "", pairs)
 
 
 # ---- running them ----
@@ -245,6 +251,7 @@ def _opened(outcome: Outcome) -> str:
     label, answer = outcome.label, outcome.answer
     truth = " + ".join(f"{e.id} (visibility {e.visibility:.3g})" for e in label.effects) or NOTHING
     said = " + ".join(f"{i} ({p:.2f})" for i, p in answer.findings) or answer.first
+    said += "".join(f", not told apart: {one} and {other}" for one, other in answer.undecided)
     verdict = f"{answer.verdict} {answer.says}".rstrip()
     mark = "exact" if outcome.exact else "first right" if outcome.first_right else "wrong"
     return (
@@ -297,9 +304,9 @@ def read(path: Path) -> list[Outcome]:
         entry: dict[str, Any] = json.loads(line)
         label = Label(**{**entry["label"], "effects": tuple(Planted(**e) for e in entry["label"]["effects"])})
         findings = tuple((str(i), float(p)) for i, p in entry["answer"]["findings"])
-        outcome = Outcome(
-            label, entry["salt"], entry["seal"], Answer(**{**entry["answer"], "findings": findings}), entry["possible"]
-        )
+        pairs = tuple((str(one), str(other)) for one, other in entry["answer"]["undecided"])
+        answer = Answer(**{**entry["answer"], "findings": findings, "undecided": pairs})
+        outcome = Outcome(label, entry["salt"], entry["seal"], answer, entry["possible"])
         if seal(label, outcome.salt) != outcome.seal:
             raise ValueError(f"{path}: trial {label.trial}: label and salt do not give the seal")
         if any(o.seal == outcome.seal for o in outcomes):
@@ -400,6 +407,8 @@ def summary(outcomes: Sequence[Outcome]) -> str:
         missed = [o for o in kept if not o.exact]
         blind = sum(math.isnan(o.possible) for o in missed)
         lines.append(f"{'  nor exact with the truth alone to choose from':48} {blind} of the {len(missed)} not exact")
+        told = sum(o.doubted for o in missed)
+        lines.append(f"{'  all named, or said not to be told apart':48} {told} of the {len(missed)} not exact")
     lines.append("  (of what the true structure achieves when the tool fits it; its own fit where its set is exact)")
     lines.append(f"{'seconds a trial, median':48} {_median((o.answer.seconds for o in outcomes), 1.0, ' s')}")
     failed = sorted((o for o in outcomes if o.answer.verdict == FAILED), key=lambda o: o.label.trial)

@@ -212,6 +212,16 @@ def test_the_summary_counts_visible_and_faint_apart() -> None:
     assert math.isnan(outcome({"gravity": 9.0}, {}, errors=(1.0, 1.0, 1.2)).achieved)
 
 
+def test_what_is_said_not_to_be_told_apart_is_counted_beside_what_is_right() -> None:
+    missed = outcome({"constant_offset": 9.0}, {}, "nothing_missing")
+    doubtful = replace(missed, answer=replace(missed.answer, undecided=(("dead_band", "constant_offset"),)))
+    elsewhere = replace(missed, answer=replace(missed.answer, undecided=(("gravity", "spring"),)))
+    assert [o.doubted for o in (missed, doubtful, elsewhere)] == [False, True, False]
+    assert not any(o.first_right or o.exact for o in (missed, doubtful, elsewhere))
+    text = summary([missed, doubtful, elsewhere])
+    assert "all named, or said not to be told apart          1 of the 3 not exact" in text
+
+
 def test_the_confusion_matrix_holds_every_trial_and_only_what_occurred() -> None:
     outcomes = [
         outcome({"gravity": 9.0}, {"gravity": 0.9}),

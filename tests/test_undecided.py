@@ -191,21 +191,33 @@ def test_what_is_followed_but_not_judged_is_said(monkeypatch):
     assert said.startswith("loud: in 25 % of what was fitted")
 
 
-def test_an_axis_that_is_always_pushed_is_said_to_hide_a_constant_torque():
-    """An offset and dead-bands that differ give the same readings until the axis coasts."""
-    loads = Structure.of([*BASE, "constant_offset"]).without("backlash")
-    shifted = {
-        "input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 4.0, "dead_band_reverse": 7.0, "offset": 0.0,
-    }  # fmt: skip
-    values = shifted | {"dead_band_forward": 6.0, "dead_band_reverse": 5.0, "offset": 0.8}
+@pytest.mark.parametrize("coasts", [False, True])
+@pytest.mark.parametrize("offered", [("constant_offset",), ()])
+def test_while_an_axis_is_pushed_dead_bands_that_differ_may_be_a_constant_torque(offered, coasts):
+    """The readings are the same until it coasts; where they differ without that torque, nothing is in doubt."""
+    plain = Structure.of(BASE).without("backlash")
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 4.0, "dead_band_reverse": 7.0}
     time = 0.002 * np.arange(4000)
-    pushing = np.where(np.sin(4.0 * time) >= 0.0, 30.0, -25.0)
-    for command, told in ((pushing, False), (np.where(time > 6.0, 0.0, pushing), True)):
-        case = likelihood.prepare(Recording("axis", time, command, np.zeros(4000), "%", "rad", 1e-4), loads)
-        begin = kernel.start_state(0.0, 0.0, 0.0)
-        one, other = (kernel.predict(case.drive, kernel.vector(loads, v), begin).reading for v in (values, shifted))
-        assert np.abs(one - other).max() > 1e-3 if told else np.abs(one - other).max() < 1e-9
-        last = replace(point(1000.0), values=shifted)
-        said = extend._pushed([case], last, "%")
-        assert [s.startswith("The drive never stops pushing") for s in said] == ([] if told else [True])
-        assert not extend._pushed([case], replace(last, structure=loads), "%")
+    command = np.where(np.sin(4.0 * time) >= 0.0, 30.0, -25.0) * (1.0 + 0.5 * np.sin(0.9 * time))
+    if coasts:
+        command = np.where(np.mod(time, 2.0) > 1.0, 0.0, command)
+    drive = likelihood.prepare(Recording("", time, command, np.zeros(4000), "%", "rad", 1e-3), plain).drive
+    moved = kernel.predict(drive, kernel.vector(plain, values), kernel.start_state(0.0, 0.0, 0.0)).reading
+    noise = np.random.default_rng(7).normal(0.0, 1e-3, 4000)
+    cases = [likelihood.prepare(Recording("axis", time, command, moved + noise, "%", "rad", 1e-3), plain)]
+    density = likelihood.density_of(cases[0], 0.2)
+    last = likelihood.climb(cases, plain, values, density, tuple(values))
+    swaps = search._levelled(cases, last, offered)
+    told = [("dead_band", "constant_offset")] if offered and not coasts else []
+    assert [(w.effect, w.rival) for w in swaps] == told
+    for swap in swaps:
+        own = swap.point.values
+        assert own["offset"] == pytest.approx(0.5 * 3.0 * 0.4, rel=0.1)
+        assert [own["dead_band_forward"], own["dead_band_reverse"]] == pytest.approx([5.5, 5.5], rel=0.1)
+        found = Search(last, last, (), tuple(cases), (), (swap,))
+        (doubt,) = extend._undecided(found)
+        assert doubt.ids == ("dead_band", "constant_offset") and doubt.probabilities[0] > doubt.probabilities[1] > 0.1
+        assert "command" in doubt.experiment and extend._probabilities(found)[1][0][0] == "dead_band"
+    # What does not differ by more than is known needs no torque.
+    even = dict.fromkeys(("dead_band_forward", "dead_band_reverse"), 5.0)
+    assert not search._levelled(cases, replace(last, values=last.values | even), ("constant_offset",))

@@ -40,8 +40,6 @@ from twin.writers import latex
 #: So many shapes without a name are drawn to the end; none where names leave a smaller share of the missing torque and
 #: took away what depends on the state, or more.
 SKETCHES, FAINT = 2, 0.1
-#: An axis that is left to itself for so long in all shows what pulls at it, s.
-COASTS = 0.5
 
 
 def _fitness(chosen: Sequence[Trace], which: str, white: float) -> Fitness:
@@ -69,13 +67,14 @@ def says(effect: str, model: Model) -> str:
 
 
 def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, float], ...]]:
-    """Per named effect, and a ranking of these, their rivals and, of the first round, what else was tried.
+    """Per named effect, or one of the base that a rival could stand for, and a ranking of these, their rivals and, of
+    the first round, what else was tried.
 
     An effect shares what is certain with each rival that could stand in its place, and with its absence.
     """
     named: dict[str, float] = {}
     ranking: dict[str, float] = {}
-    for effect in found.last.structure.named:
+    for effect in dict.fromkeys((*found.last.structure.named, *(w.effect for w in found.swaps))):
         if effect in UNKNOWN:
             continue
         contest = search.contest_of(found.rounds, found.last.structure, effect)
@@ -331,27 +330,9 @@ def diagnose(
         faults=tuple(f for r in recordings for f in r.faults),
         experiment=designed,
         undecided=_undecided(found),
-        remarks=(*_remarks(found, fit), *_pushed(found.cases, last_point, recordings[0].input_unit), *said),
+        remarks=(*_remarks(found, fit), *said),
         seconds=seconds,
     )
-
-
-def _pushed(cases: Sequence[Case], last: Point, unit: str) -> list[str]:
-    """Where the drive hardly ever lets go: with the gears in mesh a constant torque then only shifts the dead-band."""
-    if "dead_band" not in last.structure or "constant_offset" in last.structure:
-        return []
-    ahead, behind = (last.values[f"dead_band_{side}"] for side in ("forward", "reverse"))
-    coasted = 0.0
-    for case in cases:
-        passes = (case.drive.command > ahead) | (case.drive.command < -behind)
-        lasts = np.diff(case.drive.time, append=case.drive.time[-1])
-        coasted += float(np.sum(lasts[~passes & (np.cumsum(passes) > 0)]))
-    if coasted > COASTS:
-        return []
-    return [
-        "The drive never stops pushing. A constant torque, if there is one, then looks the same as dead-bands that "
-        f"differ, here {ahead:.3g} and {behind:.3g} {unit}: to tell, let the axis coast for some seconds."
-    ]
 
 
 def _remarks(found: Search, fit: Mapping[str, Mapping[str, Fitness]]) -> list[str]:

@@ -23,6 +23,8 @@ LAX = 0.05
 TURNS = 2
 #: Criteria that differ by less leave two explanations undecided: 82 % to 18 %.
 UNSURE = 3.0 * compare.TEMPER
+#: Dead-bands that differ by so many standard errors are not equal.
+CERTAIN = 3.0
 #: A rival that had earned all but this share of what the winner did is tried in its place.
 NARROW = 0.1
 
@@ -158,12 +160,13 @@ def find(
             ousted = best
             best, lesser = _pruned(cases, better.point, begun, held)
             swaps = [Swap(better.rival, better.effect, ousted)] if better.rival in best.structure else []
-        elif best.structure == grown.structure:
+        # What was ousted, or did not last, may have stood before what would; but not where it did more than all others.
+        if best.structure in (grown.structure, *(this.before.structure for this in rounds)):
             break
-        # What was ousted, or did not last, may have stood before what would.
         known = []
     wider = _wider(cases, best, first, candidates, held, rounds)
     best, swaps = _widened(cases, best, swaps, wider, held)
+    swaps = [*swaps, *_levelled(cases, best, candidates)]
     return Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
 
 
@@ -277,6 +280,29 @@ def _widened(
             others = [w for w in swaps if w.effect in freed.structure.named]
             return freed, [*others, Swap(likeliest.rival, likeliest.effect, last)]
     return last, [*swaps, *wider]
+
+
+def _levelled(cases: Sequence[Case], last: Point, candidates: Sequence[str]) -> list[Swap]:
+    """The last model with dead-bands that are equal and a constant torque in the place of what they differ by, where
+    that fits about as well: as long as the drive pushes, the torque only shifts both.
+    """
+    sides = ("dead_band_forward", "dead_band_reverse")
+    offered = "constant_offset" in candidates and "constant_offset" not in last.structure
+    if not offered or not set(sides) <= set(last.free):
+        return []
+    one, other = (last.free.index(n) for n in sides)
+    known, differ = last.robust_covariance, last.values[sides[1]] - last.values[sides[0]]
+    if differ**2 < CERTAIN**2 * (known[one, one] + known[other, other] - 2.0 * known[one, other]):
+        return []
+    longer, mean = last.structure.with_("constant_offset"), 0.5 * (last.values[sides[0]] + last.values[sides[1]])
+    equal = dict.fromkeys(sides, mean) | {"offset": 0.5 * differ * last.values["input_gain"]}
+    mine, begun = ready.with_steps(cases, longer), ready.completed(longer, last.values | equal)
+    shafts = [{"shaft_share": share} for share in (0.0, 1.0) if "shaft_share" in begun] or [{}]
+    # The torque is held where it levels the dead-bands; they stay about equal unless something else makes up for it.
+    fits = [likelihood.climb(mine, longer, begun | s, last.density, (*last.free, *shafts[0])) for s in shafts]
+    found = min(fits, key=lambda p: p.deviance)
+    level = abs(found.values[sides[1]] - found.values[sides[0]]) < 0.5 * abs(differ)
+    return [Swap("dead_band", "constant_offset", found)] if level and compare.ahead(last, found) < UNSURE else []
 
 
 def _plainer(cases: Sequence[Case], this: Round, held: Mapping[str, float]) -> Point:

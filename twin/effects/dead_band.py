@@ -31,5 +31,8 @@ EFFECT = Effect(
     sentence="The drive loses {dead_band_forward} forwards and {dead_band_reverse} backwards.",
     reference="Malik et al., eq. (12); Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor "
     "Nonlinearities, 1996",
-    confused_with={"coulomb_friction": "coast-downs and plugging: let duty and speed have opposite signs"},
+    confused_with={
+        "coulomb_friction": "coast-downs and plugging: let duty and speed have opposite signs",
+        "constant_offset": "seconds without a command: a constant torque pulls then, too, and a dead-band does not",
+    },
 )
