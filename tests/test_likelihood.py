@@ -9,7 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from axis_runs import run, steps
-from scipy.optimize import lsq_linear
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq, lsq_linear
+from scipy.special import huber
 
 from twin import identify, kernel, likelihood, ready
 from twin.axis import Structure
@@ -247,3 +250,38 @@ def test_a_motor_that_rattles_makes_the_likelihood_rough_and_the_errors_wide(
     # What bounces have made of the slopes must not pass for knowledge.
     size = np.array([values[n] for n in model.fitted])
     assert np.all(np.sqrt(np.diag(model.covariance)) > 1e-5 * size)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6), st.floats(0.0, 0.9), st.floats(1.0, 6.0))
+def test_the_scale_is_where_hubers_losses_balance(seed: int, wild: float, limit: float) -> None:
+    """Held against a bracketing root finder on the equation, and the loss against scipy's."""
+    rng = np.random.default_rng(seed)
+    squares = rng.standard_normal(400) ** 2 * np.where(rng.uniform(size=400) < wild, 10.0 ** rng.uniform(0, 8), 1.0)
+    scale, loss = kernel.compiled().scaling(squares, limit)
+
+    def short(s: float) -> float:
+        return float(np.mean(np.minimum(squares, limit * np.sqrt(s * squares)))) / s - 1.0
+
+    assert scale == pytest.approx(brentq(short, 1e-12, 2.0 * squares.mean(), xtol=1e-300, rtol=1e-13), rel=1e-9)
+    assert loss == pytest.approx(2.0 * float(huber(limit, np.sqrt(squares / scale)).sum()), rel=1e-9)
+
+
+def test_what_is_not_finite_has_no_scale_and_what_is_nothing_a_small_one() -> None:
+    scaling = kernel.compiled().scaling
+    assert scaling(np.array([1.0, np.nan, 2.0]), 4.0) == (np.inf, np.inf)
+    assert scaling(np.array([1.0, np.inf]), 4.0) == (np.inf, np.inf)
+    assert scaling(np.zeros(3), 4.0) == (1e-30, 0.0)
+
+
+def test_errors_are_judged_where_something_was_read_and_beyond_what_rounding_takes() -> None:
+    measured = np.array([1.0, 1.0, np.nan, 1.0, 1.0, 1.0])
+    left_out, rounding = np.array([False, False, False, True, False, False]), np.array([0.0, 0.3, 0.3, 0.3, 0.3, 0.1])
+    error, variance = np.array([0.5, 0.5, 0.5, 0.5, 0.8, 1.4]), np.arange(1.0, 7.0)
+    kernel.compiled().judging(measured, left_out, rounding, 2.0, error, variance)
+    np.testing.assert_allclose(error, [0.5, 0.2, np.nan, np.nan, 0.0, -0.3])
+    np.testing.assert_array_equal(variance, 2.0 * np.arange(1.0, 7.0))
+    squares = np.empty(6)
+    count, logs = kernel.compiled().normalising(error, variance, squares)
+    np.testing.assert_allclose(squares[:count], [0.25 / 2, 0.04 / 4, 0.0, 0.09 / 12])
+    assert logs == pytest.approx(math.log(2 * 4 * 10 * 12))

@@ -33,7 +33,7 @@ from twin.axis import EVERYTHING, KNOWN, STATES, Structure
 from twin.effects.catalogue import BASE, UNKNOWN
 from twin.effects.effect import SLOTS
 from twin.lanes import WIDTH
-from twin.writers import drivers, tangent
+from twin.writers import drivers, tangent, weighing
 from twin.writers.python import Numbering, module, numbering, resolve
 
 FloatArray = NDArray[np.float64]
@@ -43,11 +43,14 @@ _LOOPS = (
     drivers.correcting,
     drivers.predict,
     drivers.predict_t,
-    drivers.gathering,
+    weighing.judging,
+    weighing.normalising,
+    weighing.scaling,
+    weighing.gathering,
 )
 
 _HEAD = """import numpy as np
-from math import cos, exp, sin, sqrt, tanh
+from math import cos, exp, log, sin, sqrt, tanh
 from numba import njit
 from twin.lanes import numbers, put, row, zero"""
 

@@ -100,7 +100,8 @@ class Case:
     @cached_property
     def passed_over(self) -> NDArray[np.bool_]:
         """The stamps (N,) that are followed but not judged, for whatever reason."""
-        masks = [m for m in (self.unforeseen, self.rattling, self.beginning) if m is not None]
+        led = None if self.free is None else ~self.free
+        masks = [m for m in (self.unforeseen, self.rattling, self.beginning, led) if m is not None]
         return np.asarray(np.any([np.zeros(len(self.drive.time), dtype=bool), *masks], axis=0))
 
     @cached_property
@@ -290,12 +291,6 @@ def noise_for(case: Case, density: float) -> Noise:
     return Noise(density, 1.0, 1.0 if case.drive.speed else velocity / case.reading_variance, case.silence)
 
 
-def _loss(z2: FloatArray) -> FloatArray:
-    """Huber's loss of squared normalised innovations."""
-    z = np.sqrt(z2)
-    return np.where(z > ROBUST_LIMIT, ROBUST_LIMIT * (2.0 * z - ROBUST_LIMIT), z2)
-
-
 @dataclass(frozen=True, eq=False)
 class Innovations:
     """Of one case: readings minus predictions, their expected variance, and derivatives if asked for."""
@@ -336,19 +331,17 @@ def pieces(
         runs = kernel.in_pieces(drive, p, x, slope, free, noise, most)
     else:
         runs = iter([(slice(None), kernel.predict(drive, p, x, noise))])
+    judge = kernel.compiled().judging
     for at, run in runs:
-        error, variance = case.drive.measured[at] - run.reading, run.spread * case.reading_variance
+        rounding, error, variance = case.rounding[at], run.reading, run.spread
+        judge(case.drive.measured[at], case.passed_over[at], rounding, case.reading_variance, error, variance)
         if case.free is not None:
             # What drifts away in a free run is no reading's noise: the errors of all recordings are weighed alike.
-            error[~case.free[at]] = np.nan
-            variance = np.ones(len(error))
-        error[case.passed_over[at]] = np.nan
-        rounding = case.rounding[at]
-        hidden = np.clip(error, -rounding, rounding)
+            variance[:] = 1.0
         if free:
-            run.slopes[np.abs(error) < rounding] = 0.0
+            run.slopes[(error == 0.0) & (rounding > 0.0)] = 0.0
             run.slopes[_run_away(case, density, free, run.slopes)] = 0.0
-        yield Innovations(error - hidden, variance, run.slopes)
+        yield Innovations(error, variance, run.slopes)
 
 
 def states(case: Case, structure: Structure, values: Mapping[str, float], density: float) -> kernel.Prediction:
@@ -363,20 +356,6 @@ def innovations(
 ) -> Innovations:
     """Run one case through the predictor; slopes only where parameters are free."""
     return next(pieces(case, structure, values, density, free, len(case.drive.time)))
-
-
-def _scale_of(z2: FloatArray) -> float:
-    """Scale of squared normalised innovations, by Huber's loss: a few rounds reach its fixed point."""
-    mean = float(np.mean(z2))
-    scale = max(float(np.median(z2)) / 0.4549, mean * 1e-3, 1e-30)
-    for _ in range(30):
-        far = z2[z2 > ROBUST_LIMIT**2 * scale]
-        excess = float(far.sum()) - ROBUST_LIMIT * math.sqrt(scale) * float(np.sqrt(far).sum())
-        new = max(mean - excess / len(z2), 1e-30)
-        if abs(new - scale) < 1e-9 * scale:
-            break
-        scale = new
-    return scale
 
 
 def _moves(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
@@ -406,20 +385,20 @@ def evaluate(
     long = run is None and sum(len(c.drive.time) for c in cases) > AT_ONCE
     seen = () if long else free
     results = [innovations(c, structure, values, density, seen) for c in cases] if run is None else run()
-    z2s, logs, count, judged = [], 0.0, 0, 0.0
+    compiled = kernel.compiled()
+    squares, logs, count, judged = np.empty(sum(len(r.error) for r in results)), 0.0, 0, 0.0
     for case, r in zip(cases, results, strict=True):
-        ok = np.isfinite(r.error)
-        judged += float(ok.mean() * case.drive.time[-1])
-        z2s.append(r.error[ok] ** 2 / r.variance[ok])
-        logs += float(np.log(r.variance[ok]).sum())
-        count += int(ok.sum())
+        read, own = compiled.normalising(r.error, r.variance, squares[count:])
+        judged += read / len(r.error) * float(case.drive.time[-1])
+        logs += own
+        count += read
     if long:
         results = []
-    joined = z2s[0] if len(z2s) == 1 else np.concatenate(z2s)
-    if not np.all(np.isfinite(joined)) or count == 0:
+    if count == 0:
         return lost
-    scale = _scale_of(joined)
-    loss = sum(float(_loss(joined[i : i + AT_ONCE] / scale).sum()) for i in range(0, count, AT_ONCE))
+    scale, loss = compiled.scaling(squares[:count], ROBUST_LIMIT)
+    if not math.isfinite(scale):
+        return lost
     deviance = loss + logs + count * math.log(scale)
     # A short recording has short stretches: were its scatter not looked at it would speak for whatever is largest.
     stretch = min(stretch, judged / (n + LEFT + 1))

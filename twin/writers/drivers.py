@@ -313,30 +313,3 @@ def predict_t(
             now = until
             d_now = d_until
     return 0.0
-
-
-def gathering(error, variance, limit, stretch, slopes, pulls, weights, read):
-    """Add what each reading says to that of its stretch: the slope of the log-likelihood to `pulls` (M, n), the lower
-    triangle of the information to `weights` (M, n, n), and one to `read` (M,).
-
-    `error`, its `variance` and its `stretch` are (N,), `slopes` (N, n); what is not finite is no reading. Beyond
-    `limit` standard deviations a reading has the weight of Huber's loss.
-    """
-    n = slopes.shape[1]
-    slope = np.empty(n)
-    for i in range(len(error)):
-        if error[i] != error[i]:
-            continue
-        weight = 1.0 / variance[i]
-        far = abs(error[i]) * sqrt(weight)
-        if far > limit:
-            weight = weight * limit / far
-        at = stretch[i]
-        read[at] += 1
-        for a in range(n):
-            slope[a] = slopes[i, a]
-        for a in range(n):
-            weighted = weight * slope[a]
-            pulls[at, a] += weighted * error[i]
-            for b in range(a + 1):
-                weights[at, a, b] += weighted * slope[b]
