@@ -8,9 +8,12 @@
 
 from __future__ import annotations
 
+import os
+
+os.environ["OMP_NUM_THREADS"] = "1"  # before numpy loads, as the commands do
+
 import argparse
 import ctypes
-import os
 import shutil
 import subprocess
 import sys
