@@ -22,6 +22,9 @@ ROUNDED = 0.1
 OWN = 0.8
 #: Where a wave has no size nothing holds its phase, and a climb throws it further than this, rad.
 FLUNG = 100.0
+#: A lag or delay of less than this share of the time between two readings is none: when in it the drive took its
+#: command and the encoder was read, no recording says.
+BETWEEN = 0.5
 #: An encoder that errs by more over a turn is one that nobody would have built in, rad.
 OFF_CENTRE = 0.1
 #: Share of the readings at which friction that varies over a turn is more than nothing.
@@ -82,7 +85,12 @@ def _stribeck(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
 
 def _lag(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     """It is not lost between two readings."""
-    return values["lag_time"] > 0.1 * max(c.step for c in cases)
+    return values["lag_time"] > BETWEEN * max(c.step for c in cases)
+
+
+def _delay(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+    """Nor is this."""
+    return values["delay"] > BETWEEN * max(c.step for c in cases)
 
 
 def _eccentricity(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
@@ -126,6 +134,7 @@ RULES: Mapping[str, Rule] = {
     "joint_elasticity": _joint,
     "stribeck_friction": _stribeck,
     "motor_lag": _lag,
+    "input_delay": _delay,
     "encoder_eccentricity": _eccentricity,
     "position_dependent_friction": _varying,
     "end_stop": _stop,

@@ -19,6 +19,7 @@ from twin import likelihood, locate, ready
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.likelihood import Case, Point
+from twin.locate import Missing
 
 FloatArray = NDArray[np.float64]
 
@@ -48,6 +49,18 @@ def _lines(phase: FloatArray, torque: FloatArray, circle: float, lowest: float, 
         if len(chosen) < _LINES and all(abs(found - c) > _APART * c for c in chosen):
             chosen.append(found)
     return chosen
+
+
+def _heating(missing: Missing, values: Mapping[str, float], span: float) -> float:
+    """The command that would heat a held motor as much as the recording does in the mean.
+
+    A motor that turns draws less than its command would through a held one: of a fade in units of what the largest
+    command does to that, half the gain that is lost might be several times what there is.
+    """
+    share, gain = ready.completed(Structure.of(["thermal_fade"]), {})["fade_emf"], max(values["input_gain"], 1e-9)
+    current = missing.command - share * values["viscous_friction"] / gain * missing.velocity
+    mean = float(np.sqrt(np.nanmean(np.square(current)))) if np.isfinite(current).any() else span
+    return min(max(mean, 0.05 * span), span)
 
 
 def grids(
@@ -81,8 +94,9 @@ def grids(
     slowest, fastest = _TURN * max(0.1, 2.0 / end), _TURN * min(25.0, 0.2 / missing.step)
     rates = _lines(missing.time[read], missing.torque[read], _FINE * end, slowest, fastest)
     out["periodic_disturbance"] = [{"disturbance_frequency": r / _TURN} for r in rates]
+    heats = _heating(missing, values, span)
     out["thermal_fade"] = [
-        {"fade_time": f * end, "fade_reference": span} for f in (0.15, 0.5, 1.5) if 1.0 <= f * end <= 3600.0
+        {"fade_time": f * end, "fade_reference": heats} for f in (0.15, 0.5, 1.5) if 1.0 <= f * end <= 3600.0
     ]
     out["supply_sag"] = [{**row, "sag_reference": span} for row in out["supply_sag"]]
     out["load_change"] = [{"load_time": f * end} for f in np.linspace(0.1, 0.9, 9)]
