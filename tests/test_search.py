@@ -11,6 +11,7 @@ from axis_runs import run, steps
 from twin import compare, explain, kernel, likelihood, meetings, ready, screening, search, valleys
 from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES
+from twin.likelihood import Point
 from twin.plausibility import plausible
 from twin.recording import Recording
 
@@ -187,6 +188,22 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
         for value, right in ((kept, True), (bent, False)):
             point = likelihood.evaluate(cases, structure, {**values, name: value}, 1.0)
             assert plausible(cases, point) is right, (effect, value)
+
+
+def test_what_a_first_model_has_and_the_rig_has_not_speaks_against_nothing_that_is_added() -> None:
+    time = 0.002 * np.arange(5000)
+    turning = Recording("turning", time, np.full(5000, 30.0), 3.0 * np.sin(time), "%", "rad", 1e-4)
+    first = Structure.of([*BASE, "input_delay"])
+    cases = [likelihood.prepare(turning, first)]
+
+    def at(structure: Structure, **values: float) -> Point:
+        return likelihood.evaluate(cases, structure, ready.completed(structure, {"delay": 2e-4, **values}), 1.0)
+
+    for rest, right in ((1.0, True), (50.0, False)):
+        longer = at(first.with_("spring"), spring_rest=rest)
+        assert plausible(cases, longer, at(first)) is right and not plausible(cases, longer)
+        # A delay that the addition has eaten up was one before.
+        assert not plausible(cases, longer, at(first, delay=0.01))
 
 
 def test_a_spring_that_is_bent_into_a_constant_is_no_rival_to_one() -> None:
@@ -430,7 +447,7 @@ def test_two_effects_that_earn_a_place_only_together_are_found(monkeypatch) -> N
         assert set(candidates).isdisjoint(stone.structure.named) and known[0].point is pair.point
         return explain.Round(stone, tuple(known), 1.0, True)
 
-    monkeypatch.setattr(explain, "plausible", lambda cases, point: True)
+    monkeypatch.setattr(explain, "plausible", lambda cases, point, before: True)
     monkeypatch.setattr(explain, "contest", lambda cases, base, candidates: [looked[base.structure.named]])
     monkeypatch.setattr(valleys, "relocated", lambda cases, point, held: point)
     monkeypatch.setattr(explain, "compete", compete)
@@ -447,7 +464,7 @@ def test_two_effects_that_earn_a_place_only_together_are_found(monkeypatch) -> N
 def test_a_lost_round_is_looked_at_with_a_filter_that_forgets_sooner(monkeypatch) -> None:
     before, seen = fitted(0.0, unit=10.0), hypothesis(-4000.0, "load_change", unit=10.0)
     weak = hypothesis(-100.0, "thermal_fade", unit=10.0)
-    monkeypatch.setattr(explain, "plausible", lambda cases, point: True)
+    monkeypatch.setattr(explain, "plausible", lambda cases, point, before: True)
     monkeypatch.setattr(explain, "_from_brief", lambda cases, base, candidates, held: [seen])
     monkeypatch.setattr(valleys, "settle", lambda cases, structure, values, held, density: before)
     monkeypatch.setattr(explain, "shows", lambda cases, smaller, larger: True)

@@ -157,7 +157,7 @@ def test_a_rival_takes_the_place_only_of_what_it_shows_without(monkeypatch, reac
     before, last, rival = point(3000.0), point(1000.0, "spring"), point(reached, "gravity")
     close = Round(before, (Hypothesis(("spring",), last), Hypothesis(("gravity",), point(1010.0, "gravity"))), 1.0)
     asked = []
-    monkeypatch.setattr(search, "plausible", lambda cases, p: True)
+    monkeypatch.setattr(search, "plausible", lambda cases, p, before: True)
     monkeypatch.setattr(valleys, "settle", lambda cases, structure, values, held, density: rival)
     monkeypatch.setattr(valleys, "deepen", lambda cases, p, held: p)
     monkeypatch.setattr(search.explain, "shows", lambda cases, without, p: asked.append(without) or shows)

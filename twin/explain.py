@@ -251,7 +251,7 @@ def compete(
     best: dict[tuple[str, ...], Hypothesis] = {}
 
     def keep(found: Sequence[Hypothesis]) -> None:
-        best.update(_best(cases, [*best.values(), *found]))
+        best.update(_best(cases, before, [*best.values(), *found]))
 
     def leading(most: int) -> list[Hypothesis]:
         return sorted(best.values(), key=lambda h: h.deviance)[:most]
@@ -304,7 +304,7 @@ def again(cases: Sequence[Case], this: Round, candidates: Sequence[str], held: M
     if this.won or this.unit < WHITE or not _hopeful(this):
         return this
     found = _from_brief(cases, this.before, candidates, held)
-    return _judged(cases, this.before, list(_best(cases, [*this.rivals, *found]).values()), held)
+    return _judged(cases, this.before, list(_best(cases, this.before, [*this.rivals, *found]).values()), held)
 
 
 def beyond(
@@ -329,11 +329,13 @@ def beyond(
     return ()
 
 
-def _best(cases: Sequence[Case], found: Sequence[Hypothesis]) -> dict[tuple[str, ...], Hypothesis]:
+def _best(
+    cases: Sequence[Case], before: Point, found: Sequence[Hypothesis]
+) -> dict[tuple[str, ...], Hypothesis]:  # fmt: skip
     """Of each effect its best fit; what is bent into something else must not oust what is still itself."""
     best: dict[tuple[str, ...], Hypothesis] = {}
     for h in found:
-        best[h.added] = min(best.get(h.added, h), h, key=lambda o: (not plausible(cases, o.point), o.deviance))
+        best[h.added] = min(best.get(h.added, h), h, key=lambda o: (not plausible(cases, o.point, before), o.deviance))
     return best
 
 
@@ -342,7 +344,7 @@ def _judged(
 ) -> Round:  # fmt: skip
     """The round of these rivals, and its winner: the best that earns its place and shows."""
     # What is bent into something else, as a spring into a constant, is no rival to anything.
-    sound = sorted((h for h in found if plausible(cases, h.point)), key=lambda h: h.deviance)
+    sound = sorted((h for h in found if plausible(cases, h.point, before)), key=lambda h: h.deviance)
     unit = compare.worth([before, *(h.point for h in sound[:1])])
     rivals = sorted(sound, key=lambda h: compare.criterion(h.point, unit))
     winner = None

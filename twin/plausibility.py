@@ -141,11 +141,19 @@ RULES: Mapping[str, Rule] = {
 }
 
 
-def plausible(cases: Sequence[Case], point: Point) -> bool:
-    """Whether every effect of the fit still is what its name says; of what has a phase also that it has a size."""
-    phases = [s.pair[0] for e in point.structure.effects if (s := e.screen) is not None and s.pair is not None]
-    held = all(abs(point.values[n]) < FLUNG for n in phases)
-    return held and all(rule(cases, point.values) for effect, rule in RULES.items() if effect in point.structure)
+def _bent(cases: Sequence[Case], point: Point) -> set[str]:
+    """The effects of the fit that are no longer what their names say; of what has a phase also those without a size."""
+    pairs = {e.id: e.screen.pair for e in point.structure.effects if e.screen is not None}
+    flung = {effect for effect, pair in pairs.items() if pair is not None and not abs(point.values[pair[0]]) < FLUNG}
+    ruled = {effect for effect, rule in RULES.items() if effect in point.structure and not rule(cases, point.values)}
+    return flung | ruled
+
+
+def plausible(cases: Sequence[Case], point: Point, before: Point | None = None) -> bool:
+    """Whether every effect of the fit still is what its name says, or was not so in the model before it either: what a
+    first model is told to contain, as a delay that there is none of, speaks against nothing that is added.
+    """
+    return _bent(cases, point) <= (_bent(cases, before) if before is not None else set())
 
 
 def _follows(case: Case, values: Mapping[str, float]) -> float:

@@ -220,7 +220,7 @@ def _swapped(
                 # What does not come close needs no test.
                 far = compare.ahead(last, point) > UNSURE
                 without = min((q for q in lesser if effect not in q.structure), key=lambda q: q.deviance)
-                if plausible(cases, point) and (far or explain.shows(cases, without, point)):
+                if plausible(cases, point, last) and (far or explain.shows(cases, without, point)):
                     out.append(Swap(effect, h.added[0], point))
     return out
 
@@ -261,7 +261,7 @@ def _wider(
             begins = ({**last.values, more.gain: share * size}, {**last.values, **h.values})
             fits += [valleys.settle(cases, longer, v, held, last.density) for v in begins]
         found = min(fits, key=lambda p: p.deviance, default=None)
-        if found is not None and compare.ahead(last, found) < UNSURE and plausible(cases, found):
+        if found is not None and compare.ahead(last, found) < UNSURE and plausible(cases, found, last):
             out.append(Swap(effect, other, found))
     return out
 
@@ -297,9 +297,10 @@ def _levelled(cases: Sequence[Case], last: Point, candidates: Sequence[str]) -> 
     longer, mean = last.structure.with_("constant_offset"), 0.5 * (last.values[sides[0]] + last.values[sides[1]])
     equal = dict.fromkeys(sides, mean) | {"offset": 0.5 * differ * last.values["input_gain"]}
     mine, begun = ready.with_steps(cases, longer), ready.completed(longer, last.values | equal)
-    shafts = [{"shaft_share": share} for share in (0.0, 1.0) if "shaft_share" in begun] or [{}]
+    new = [n for n in ("shaft_share",) if n in begun and n not in last.values]
+    shafts = [dict.fromkeys(new, share) for share in ((0.0, 1.0) if new else (0.0,))]
     # The torque is held where it levels the dead-bands; they stay about equal unless something else makes up for it.
-    fits = [likelihood.climb(mine, longer, begun | s, last.density, (*last.free, *shafts[0])) for s in shafts]
+    fits = [likelihood.climb(mine, longer, begun | s, last.density, (*last.free, *new)) for s in shafts]
     found = min(fits, key=lambda p: p.deviance)
     level = abs(found.values[sides[1]] - found.values[sides[0]]) < 0.5 * abs(differ)
     return [Swap("dead_band", "constant_offset", found)] if level and compare.ahead(last, found) < UNSURE else []
