@@ -177,7 +177,6 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
         ("stribeck_friction", "stribeck_velocity", 2e-3, 5e-4),  # two counts, and half of one, in a tenth of a second
         ("motor_lag", "lag_time", 0.0012, 0.0008),  # more and less than half the time between two readings
         ("input_delay", "delay", 0.0012, 0.0008),
-        ("thermal_fade", "fade_time", 3.0, likelihood.bounds_of("fade_time")[0]),
         ("encoder_eccentricity", "eccentricity", 0.03, 0.5),
         ("gravity", "gravity_angle", -1.0, -2562.0),
         ("end_stop", "stop_upper", 2.9, 0.0),

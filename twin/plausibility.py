@@ -83,12 +83,6 @@ def _stribeck(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     return values["stribeck_velocity"] > max(2.0 * least, told)
 
 
-def _fade(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
-    """Heat comes slowly: what follows the current at once is a torque that grows with it, or with speed."""
-    least, _ = likelihood.bounds_of("fade_time")
-    return values["fade_time"] > 1.5 * least
-
-
 def _lag(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     """It is not lost between two readings."""
     return values["lag_time"] > BETWEEN * max(c.step for c in cases)
@@ -139,7 +133,6 @@ RULES: Mapping[str, Rule] = {
     "spring": _spring,
     "joint_elasticity": _joint,
     "stribeck_friction": _stribeck,
-    "thermal_fade": _fade,
     "motor_lag": _lag,
     "input_delay": _delay,
     "encoder_eccentricity": _eccentricity,
