@@ -114,6 +114,18 @@ def test_what_one_name_explains_about_as_well_as_two_is_the_one():
     assert given == pytest.approx(1.0 / (1.0 + np.exp(-UNSURE / (2.0 * compare.TEMPER))))
 
 
+def test_the_experiment_is_for_the_likeliest_rival_and_not_for_one_name_more(monkeypatch):
+    last, rival = point(1000.0, "motor_lag"), point(1010.0, "input_delay")
+    torque = point(1003.0, "motor_lag", "constant_offset")
+    swaps = (Swap("dead_band", "constant_offset", torque), Swap("motor_lag", "input_delay", rival))
+    asked = []
+    monkeypatch.setattr(extend.ready, "with_steps", lambda cases, structure: cases)
+    monkeypatch.setattr(extend.experiment, "separate", lambda points, cases: asked.append(points))
+    extend._next(Search(point(3000.0), last, (), (), (), swaps))
+    extend._next(Search(point(3000.0), last, (), (), (), swaps[:1]))
+    assert asked == [[last, rival], [last, torque]]
+
+
 def test_the_user_is_told_of_both():
     told = finding.to_json(example())["undecided"]
     assert told == [
@@ -217,7 +229,9 @@ def test_while_an_axis_is_pushed_dead_bands_that_differ_may_be_a_constant_torque
         found = Search(last, last, (), tuple(cases), (), (swap,))
         (doubt,) = extend._undecided(found)
         assert doubt.ids == ("dead_band", "constant_offset") and doubt.probabilities[0] > doubt.probabilities[1] > 0.1
-        assert "command" in doubt.experiment and extend._probabilities(found)[1][0][0] == "dead_band"
+        assert "command" in doubt.experiment and extend._probabilities(found)[1] == (
+            ("constant_offset", doubt.probabilities[1]),
+        )
     # What does not differ by more than is known needs no torque.
     even = dict.fromkeys(("dead_band_forward", "dead_band_reverse"), 5.0)
     assert not search._levelled(cases, replace(last, values=last.values | even), ("constant_offset",))

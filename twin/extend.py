@@ -90,7 +90,8 @@ def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, fl
         weight = compare.weights([compare.criterion(p, this.unit) for p in tried])
         for h, w in zip(this.rivals, weight[1:], strict=True):
             ranking.setdefault(h.added[0], 0.0 if named else float(w))
-    ranking |= named
+    # What the first model has is not missing, whatever could stand in its place.
+    ranking |= {e: p for e, p in named.items() if e in found.last.structure.named}
     return named, tuple(sorted(ranking.items(), key=lambda pair: -pair[1]))
 
 
@@ -203,7 +204,7 @@ def _next(found: Search) -> Experiment:
     """The input that would tell the closest rivals apart, or fix what is known worst."""
     cases = ready.with_steps(found.cases, found.last.structure)
     close = [w.point for w in found.swaps if compare.ahead(found.last, w.point) < UNSURE]
-    near = sorted(close, key=lambda p: compare.ahead(found.last, p))[:1]
+    near = sorted(close, key=lambda p: search.behind(p, found.last))[:1]
     try:
         return experiment.separate([found.last, *near], cases)
     except (BadInput, np.linalg.LinAlgError) as error:
