@@ -225,8 +225,9 @@ def ask(recording: Recording, candidates: Sequence[str] = CANDIDATES) -> Answer:
         return Answer(FAILED, (), math.nan, math.nan, time.perf_counter() - begun, f"{type(error).__name__}: {error}")
     held_out = found.fit["holdout"]
     findings = tuple((f.id, float(f.probability)) for f in found.findings)
-    seconds, pairs = time.perf_counter() - begun, tuple(u.ids for u in found.undecided)
-    return Answer(found.verdict, findings, held_out["before"].rmse, held_out["after"].rmse, seconds, "", pairs)
+    errors = held_out["before"].rmse, held_out["after"].rmse
+    pairs = tuple(u.ids for u in found.undecided)
+    return Answer(found.verdict, findings, *errors, time.perf_counter() - begun, undecided=pairs)
 
 
 # ---- running them ----

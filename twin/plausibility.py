@@ -83,14 +83,9 @@ def _stribeck(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     return values["stribeck_velocity"] > max(2.0 * least, told)
 
 
-def _lag(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
-    """It is not lost between two readings."""
-    return values["lag_time"] > BETWEEN * max(c.step for c in cases)
-
-
-def _delay(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
-    """Nor is this."""
-    return values["delay"] > BETWEEN * max(c.step for c in cases)
+def _late(name: str) -> Rule:
+    """What comes late is not lost between two readings."""
+    return lambda cases, values: values[name] > BETWEEN * max(c.step for c in cases)
 
 
 def _eccentricity(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
@@ -133,8 +128,8 @@ RULES: Mapping[str, Rule] = {
     "spring": _spring,
     "joint_elasticity": _joint,
     "stribeck_friction": _stribeck,
-    "motor_lag": _lag,
-    "input_delay": _delay,
+    "motor_lag": _late("lag_time"),
+    "input_delay": _late("delay"),
     "encoder_eccentricity": _eccentricity,
     "position_dependent_friction": _varying,
     "end_stop": _stop,
@@ -153,7 +148,8 @@ def plausible(cases: Sequence[Case], point: Point, before: Point | None = None) 
     """Whether every effect of the fit still is what its name says, or was not so in the model before it either: what a
     first model is told to contain, as a delay that there is none of, speaks against nothing that is added.
     """
-    return _bent(cases, point) <= (_bent(cases, before) if before is not None else set())
+    bent = _bent(cases, point)
+    return not bent or (before is not None and bent <= _bent(cases, before))
 
 
 def _follows(case: Case, values: Mapping[str, float]) -> float:

@@ -57,8 +57,7 @@ def _heating(missing: Missing, values: Mapping[str, float], span: float) -> floa
     A motor that turns draws far less than it would if it were held: in units of what the largest command does to a held
     one, a fade of a sixth would be larger than any fade may be.
     """
-    (share,) = (p.start for p in EFFECTS["thermal_fade"].parameters if p.name == "fade_emf")
-    gain = max(values["input_gain"], 1e-9)
+    share, gain = neutral("thermal_fade")["fade_emf"], max(values["input_gain"], 1e-9)
     current = missing.command - share * values["viscous_friction"] / gain * missing.velocity
     mean = float(np.sqrt(np.nanmean(np.square(current)))) if np.isfinite(current).any() else span
     return min(max(mean, 0.05 * span), span)
