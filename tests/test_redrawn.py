@@ -130,6 +130,21 @@ def test_a_name_stays_unless_its_law_is_not_what_is_there(effect, truth, values,
         assert found.curve.deviance < last.deviance - 100.0
 
 
+@pytest.mark.parametrize(("rough", "drawn"), [(0.0, False), (0.02, False), (0.06, True)])
+def test_a_law_may_miss_a_little_of_what_a_machine_does(monkeypatch, rough, drawn):
+    """A spring whose torque swings about the straight line by a share of what it does.
+
+    It moves about half as far as the knots reach, so that the share is twice as large there.
+    """
+    torque = -4.8 * (SPOTS + rough * np.sqrt(2.0) * SPOTS.std() * np.sin(4.0 * SPOTS))
+    truth, one = STRUCTURE.with_("unknown_position"), STRUCTURE.with_("spring")
+    cases = [likelihood.prepare(recorded(truth, 25.0, **through("unknown_position", SPOTS, torque)), one)]
+    begin = ready.completed(one, VALUES | {"spring_stiffness": 4.8})
+    last = likelihood.fit(cases, one, begin, ready.free_parameters(one))
+    monkeypatch.setattr(redrawn.explain, "shows", lambda cases, before, after: True)
+    assert (redrawn.outdone(cases, STRUCTURE, last, "position") is not None) is drawn
+
+
 def test_a_name_that_does_nothing_beside_the_curve_goes():
     """A fade made up for what the spring missed; beside the curve a friction that is there stays."""
     truth, both = STRUCTURE.with_("unknown_position", "coulomb_friction"), STRUCTURE.with_("spring", "coulomb_friction")

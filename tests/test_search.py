@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin import compare, explain, kernel, likelihood, meetings, ready, screening, search, valleys
+from twin import compare, explain, extend, identify, kernel, likelihood, meetings, ready, screening, search, valleys
 from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES
 from twin.likelihood import Point
@@ -239,6 +239,29 @@ def test_where_a_recording_begins_is_no_stop() -> None:
     # What is met at the other end is none the less for it.
     point = likelihood.evaluate(cases, structure, {**values, "stop_lower": 0.001, "stop_upper": 5.99}, 1.0)
     assert plausible(cases, point)
+
+
+@pytest.mark.parametrize("lower", [-1e3, -0.3])
+def test_a_stop_that_nothing_met_is_nowhere(lower: float) -> None:
+    """At the furthest reading it would do nothing, either, but the next recording may go further."""
+    rng = np.random.default_rng(12)
+    stopped = Structure.of(["inertia", "viscous_friction", "dead_band", "end_stop"])
+    values = {
+        "input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0,
+        "stop_stiffness": 8e3, "stop_damping": 30.0, "stop_hysteresis": 0.0, "stop_upper": 0.3, "stop_lower": lower,
+    }  # fmt: skip
+    time, count = 0.002 * np.arange(6000), 2.0 * np.pi / 16384.0
+    duty = steps(rng, len(time), 400, 25.0)
+    y, _ = run(stopped, values, time, duty + 0.05 * rng.standard_normal(len(time)))
+    made = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
+    cases = [likelihood.prepare(made, stopped)]
+    begun = {**values, "stop_lower": max(lower, float(y.min()) + count)}
+    last = valleys.settle(cases, stopped, begun, {}, likelihood.density_of(cases[0], 0.1))
+    found = search._unmet(cases, last)
+    assert y.max() > 0.3 and (lower == -1e3 or y.min() < lower)
+    assert found.values["stop_upper"] == pytest.approx(0.3, abs=2e-3)
+    assert found.values["stop_lower"] == pytest.approx(lower, abs=2e-3)
+    assert extend.says("end_stop", identify.to_model(cases, found, [made], {})).count("none met") == (lower == -1e3)
 
 
 def test_friction_that_acts_only_where_the_way_ends_is_a_stop() -> None:

@@ -37,6 +37,8 @@ from twin.recording import Recording
 from twin.search import UNSURE, Progress, Search
 from twin.writers import latex
 
+#: A place so far off, in the axis' unit, is none.
+NOWHERE = 1e3
 #: So many shapes without a name are drawn to the end; none where names leave a smaller share of the missing torque and
 #: took away what depends on the state, or more.
 SKETCHES, FAINT = 2, 0.1
@@ -55,14 +57,15 @@ def _white(cases: Sequence[Case], point: Point) -> float:
 
 
 def says(effect: str, model: Model) -> str:
-    """The sentence of an effect with the model's numbers in it."""
+    """The sentence of an effect with the model's numbers in it; what is nowhere on the way was not met."""
     shown = {}
     for i in (effect, *EFFECTS[effect].includes):
         for p in model.structure.acting(EFFECTS[i]):
             value, std = model.values[p.name], model.std(p.name)
             unit = model.unit(p.name)
             spread = f" ± {std:.2g}" if math.isfinite(std) else ""
-            shown[p.name] = f"{value:.3g}{spread}{'' if unit == '1' else ' ' + unit}"
+            number = f"{value:.3g}{spread}{'' if unit == '1' else ' ' + unit}"
+            shown[p.name] = number if abs(value) < NOWHERE or p.unit != "{x}" else "none met"
     return EFFECTS[effect].sentence.format(**shown)
 
 

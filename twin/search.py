@@ -126,6 +126,20 @@ def _pruned(
     return best, lesser
 
 
+def _unmet(cases: Sequence[Case], last: Point) -> Point:
+    """The model with a stop only on the side where one is met.
+
+    Where nothing shows a stop it may stand at the furthest reading as well as anywhere beyond, and would be met by the
+    next recording that goes further.
+    """
+    nowhere = {n: screening.neutral("end_stop")[n] for n in ("stop_upper", "stop_lower") if n in last.free}
+    mine, fits = ready.with_steps(cases, last.structure), [last]
+    for stop, far in nowhere.items():
+        free = tuple(n for n in last.free if n != stop)
+        fits.append(likelihood.climb(mine, last.structure, {**last.values, stop: far}, last.density, free))
+    return min(fits, key=lambda p: compare.criterion(p, compare.worth([last])))
+
+
 def find(
     recordings: Sequence[Recording],
     first: Structure,
@@ -164,6 +178,7 @@ def find(
         if best.structure in (grown.structure, *(this.before.structure for this in rounds)):
             break
         known = []
+    best = _unmet(cases, best)
     wider = _wider(cases, best, first, candidates, held, rounds)
     best, swaps = _widened(cases, best, swaps, wider, held)
     swaps = [*swaps, *_levelled(cases, best, candidates)]

@@ -32,7 +32,7 @@ EFFECT = Effect(
     law=law,
     depends_on=("position",),
     promises=frozenset({"memoryless"}),
-    sentence="The link meets a stop at {stop_upper} or {stop_lower}.",
+    sentence="The link meets stops (upper: {stop_upper}, lower: {stop_lower}).",
     reference="Goldsmith, Impact, 1960 (damped from the first touch); Hunt, Crossley, Coefficient of restitution "
     "interpreted as damping in vibroimpact, J. Appl. Mech. 42, 1975 (damped by depth)",
     confused_with={"spring": "rest in mid-travel: a stop acts only beyond its angle"},
