@@ -163,7 +163,7 @@ def test_one_torque_or_what_the_first_model_knows_is_no_piece():
 
 def test_the_answer_is_a_curve_and_says_why(monkeypatch):
     # Here the search for shapes would find it, too; on a rig with a gap the first model is too far astray for that.
-    monkeypatch.setattr(extend, "_outdone", lambda found, nameless: False)
+    monkeypatch.setattr(extend, "_outdone", lambda found, nameless, left: False)
     made = recorded(STRUCTURE.with_("unknown_position"), **CURVE)
     found = extend.diagnose([made], STRUCTURE, {}, ("gravity", "spring"))
     assert found.verdict == "unexplained" and not found.findings

@@ -321,7 +321,8 @@ def test_what_has_no_name_wins_where_the_names_do_nothing_beside_it(key, name, t
     assert not name or compare.earns(first, last)
     nameless = with_curve([case], first, term)
     found = Search(first, last, (), (case,))
-    assert extend._outdone(found, nameless) is outdone
+    for p_value in (1.0, 0.0):
+        assert extend._outdone(found, nameless, [left(0.3, p_value, 0.4)]) is outdone
 
 
 @pytest.mark.parametrize(("took", "drawn"), [(0.9, True), (1.1, False)])

@@ -26,6 +26,8 @@ LEAST = 22.0
 #: equally likely, and 10 is less so.
 OTHER = 0.03
 TEMPER = 7.0
+#: By this share of what it does a law may miss what a machine does; deviance goes with the square.
+LAX = 0.05
 #: What a unit is worth where the slopes of all rivals have run away: as little as where a motor rattles without end.
 WORST = 100.0
 

@@ -16,6 +16,7 @@ from twin import (
     compare,
     experiment,
     explain,
+    foretold,
     hold_out,
     identify,
     likelihood,
@@ -35,13 +36,16 @@ from twin.likelihood import Case, Point
 from twin.model import Model
 from twin.recording import Recording
 from twin.search import UNSURE, Progress, Search
+from twin.unknown import Term
 from twin.writers import latex
 
 #: A place so far off, in the axis' unit, is none.
 NOWHERE = 1e3
-#: So many shapes without a name are drawn to the end; none where names leave a smaller share of the missing torque and
-#: took away what depends on the state, or more.
-SKETCHES, FAINT = 2, 0.1
+#: So many shapes without a name are drawn to the end; none where names surer than this leave a smaller share of the
+#: missing torque and took away what depends on the state, or more.
+SKETCHES, CERTAIN, FAINT = 2, 0.9, 0.1
+#: Shapes that are tried whatever the missing torque shows: the likelihood sees more of them than its averages do.
+ALWAYS = ("position", "velocity", "input", "time", "drag")
 
 
 def _fitness(chosen: Sequence[Trace], which: str, white: float) -> Fitness:
@@ -146,11 +150,15 @@ def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover) 
     first, last = found.first, found.last
     bases, left = [first], [before]
     if last.structure != first.structure:
-        if after.share < FAINT and unknown.removed(before, after) >= before.share:
+        named, _ = _probabilities(found)
+        sure = all(named[e] > CERTAIN for e in last.structure.named if e not in first.structure)
+        if sure and after.share < FAINT and unknown.removed(before, after) >= before.share:
             return first
         bases.append(replace(first, values={n: last.values.get(n, v) for n, v in first.values.items()}))
         left.append(after)
-    terms = dict.fromkeys(t for one in left for t in unknown.which_terms(one))
+    shown = [t for one in left for t in unknown.which_terms(one)]
+    always = [Term(k) for k in ALWAYS if not (k == "position" and found.cases[0].drive.speed)]
+    terms = dict.fromkeys((*shown, *always))
     with ThreadPoolExecutor(2) as pool:
         tried = pool.map(lambda pair: unknown.sketch(found.cases, *pair), itertools.product(bases, terms))
         best = sorted(tried, key=lambda p: p.deviance)[:SKETCHES]
@@ -159,14 +167,18 @@ def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover) 
     return min((unknown.relocated(found.cases, p) for p in fits), key=lambda p: p.deviance, default=first)
 
 
-def _outdone(found: Search, nameless: Point) -> bool:
+def _outdone(found: Search, nameless: Point, left: Sequence[unknown.Leftover]) -> bool:
     """Whether what has no name is what a recording speaks for: it does more than the names, which beside it do nothing.
 
+    Where the missing torque of neither model, `left`, goes with anything, it has to foretell what it was not fitted to.
     Every real friction departs a little from its name, and a curve that may take any shape follows it; but what else
     the name says, as that friction turns with the motion, the curve does not have. Names have earned their place
     before: they keep it where they grow again beside the curve and are worth their parameters.
     """
-    if not explain.shows(found.cases, found.last, nameless):
+    if not compare.earns(found.last, nameless):
+        return False
+    goes = any(one.p_value < unknown.SURE for one in left) and explain.shows(found.cases, found.last, nameless)
+    if not goes and foretold.chance(found.cases, found.last, nameless) > foretold.SURE:
         return False
     return compare.ahead(_beside(found, nameless), nameless) <= 0.0
 
@@ -272,7 +284,7 @@ def diagnose(
     tell("trying shapes without a name", 0.85)
     nameless = _nameless(found, *left)
     named = bool(set(found.last.structure.named) - set(first.named))
-    if _outdone(found, nameless):
+    if _outdone(found, nameless, left):
         found, verdict = _drawn(found, nameless), "unexplained"
     elif drawn := redrawn.redrawn(found.cases, first, found.last):
         said.append(drawn.says)

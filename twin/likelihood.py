@@ -291,6 +291,12 @@ def noise_for(case: Case, density: float) -> Noise:
     return Noise(density, 1.0, 1.0 if case.drive.speed else velocity / case.reading_variance, case.silence)
 
 
+def robust_loss(normalised: FloatArray) -> FloatArray:
+    """Huber's loss of normalised innovations: what they take from twice the log-likelihood."""
+    z = np.abs(normalised)
+    return np.asarray(np.where(z > ROBUST_LIMIT, ROBUST_LIMIT * (2.0 * z - ROBUST_LIMIT), z**2))
+
+
 @dataclass(frozen=True, eq=False)
 class Innovations:
     """Of one case: readings minus predictions, their expected variance, and derivatives if asked for."""

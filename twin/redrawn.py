@@ -18,7 +18,6 @@ from twin import compare, equations, explain, likelihood, locate, ready, unknown
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.likelihood import Case, Point
-from twin.search import LAX
 
 FloatArray = NDArray[np.float64]
 
@@ -94,7 +93,7 @@ def outdone(cases: Sequence[Case], first: Structure, last: Point, variable: str)
     if not ids:
         return None
     curve = _drawn(cases, last, ids, variable)
-    if _departs(cases, last, curve, ids, variable) < LAX or not explain.shows(cases, last, curve):
+    if _departs(cases, last, curve, ids, variable) < compare.LAX or not explain.shows(cases, last, curve):
         return None
     says = (
         f"{_titles(ids)} would fit in part, but a curve over the {_SPOKEN[variable]} that no known effect describes "

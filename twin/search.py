@@ -17,8 +17,6 @@ from twin.recording import Recording
 Progress = Callable[[str, float], None]
 #: More effects than this at once are not looked for.
 MOST = 4
-#: By this share of what it does a law may miss what a machine does; deviance goes with the square.
-LAX = 0.05
 #: So often at most is more looked for after one effect has taken another's place.
 TURNS = 2
 #: Criteria that differ by less leave two explanations undecided: 82 % to 18 %.
@@ -83,7 +81,7 @@ def _fair(point: Point, lesser: Sequence[Point], begun: Point) -> Point:
 
     What a law misses of what it stands for must not pass for another effect.
     """
-    missed = LAX**2 * max(begun.deviance - point.deviance, 0.0)
+    missed = compare.LAX**2 * max(begun.deviance - point.deviance, 0.0)
     fair = [q for q in lesser if not compare.earns(q, point, missed)]
     return min(fair, key=lambda q: compare.criterion(q, compare.worth([point])), default=point)
 
