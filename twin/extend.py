@@ -41,9 +41,9 @@ from twin.writers import latex
 
 #: A place so far off, in the axis' unit, is none.
 NOWHERE = 1e3
-#: So many shapes without a name are drawn to the end; none where names surer than this leave a smaller share of the
+#: So many shapes without a name are drawn to the end; none where names likelier than this leave a smaller share of the
 #: missing torque and took away what depends on the state, or more.
-SKETCHES, CERTAIN, FAINT = 2, 0.9, 0.1
+SKETCHES, LIKELY, FAINT = 2, 0.5, 0.1
 #: Shapes that are tried whatever the missing torque shows: the likelihood sees more of them than its averages do.
 ALWAYS = ("position", "velocity", "input", "time", "drag")
 
@@ -151,8 +151,8 @@ def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover) 
     bases, left = [first], [before]
     if last.structure != first.structure:
         named, _ = _probabilities(found)
-        sure = all(named[e] > CERTAIN for e in last.structure.named if e not in first.structure)
-        if sure and after.share < FAINT and unknown.removed(before, after) >= before.share:
+        likely = all(named[e] > LIKELY for e in last.structure.named if e not in first.structure)
+        if likely and after.share < FAINT and unknown.removed(before, after) >= before.share:
             return first
         bases.append(replace(first, values={n: last.values.get(n, v) for n, v in first.values.items()}))
         left.append(after)
@@ -164,7 +164,8 @@ def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover) 
         best = sorted(tried, key=lambda p: p.deviance)[:SKETCHES]
         fits = list(pool.map(lambda p: unknown.finish(found.cases, p), best))
     # What the first model lacked may have led its gap and teeth far astray.
-    return min((unknown.relocated(found.cases, p) for p in fits), key=lambda p: p.deviance, default=first)
+    promising = [p for p in fits if compare.earned(first, p) > 0.0]
+    return min((unknown.relocated(found.cases, p) for p in promising), key=lambda p: p.deviance, default=first)
 
 
 def _outdone(found: Search, nameless: Point, left: Sequence[unknown.Leftover]) -> bool:
