@@ -43,7 +43,7 @@ from twin.writers import latex
 NOWHERE = 1e3
 #: So many shapes without a name are drawn to the end; none where names likelier than this leave a smaller share of the
 #: missing torque and took away what depends on the state, or more.
-SKETCHES, LIKELY, FAINT = 2, 0.5, 0.1
+SKETCHES, LIKELY, FAINT = 3, 0.5, 0.1
 #: Shapes that are tried whatever the missing torque shows: the likelihood sees more of them than its averages do.
 ALWAYS = ("position", "velocity", "input", "time", "drag")
 
@@ -165,7 +165,11 @@ def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover) 
         fits = list(pool.map(lambda p: unknown.finish(found.cases, p), best))
     # What the first model lacked may have led its gap and teeth far astray.
     promising = [p for p in fits if compare.earned(first, p) > 0.0]
-    return min((unknown.relocated(found.cases, p) for p in promising), key=lambda p: p.deviance, default=first)
+    moved = [unknown.relocated(found.cases, p) for p in promising]
+    if len(moved) < 2:
+        return moved[0] if moved else first
+    # A curve over time follows whatever happened once: what comes again is the better one.
+    return min(moved, key=lambda p: foretold.chance(found.cases, first, p))
 
 
 def _outdone(found: Search, nameless: Point, left: Sequence[unknown.Leftover]) -> bool:
