@@ -1,10 +1,10 @@
 """Does an addition foretell what it was not fitted to?
 
 Twelve knots follow slow noise and earn their price by it, and where errors hang together every gain looks surer than it
-is. So the values of an addition are fitted without one stretch of half a second in five, and on what was left out
-it is held against the smaller model stretch by stretch (Stone, Cross-validatory choice, J. R. Stat. Soc. B 36, 1974).
-What counts is on how many it does better, the more the better it does there, but no stretch outvotes the rest
-(Wilcoxon, Individual comparisons by ranking methods, Biometrics Bulletin 1, 1945).
+is. So the values of an addition are fitted without one stretch of half a second in five, and on what was left out the
+larger model is held against the smaller one (Stone, Cross-validatory choice, J. R. Stat. Soc. B 36, 1974). What counts
+is on how many stretches it does better, the more the better it does there, but no stretch outvotes the rest (Wilcoxon,
+Individual comparisons by ranking methods, Biometrics Bulletin 1, 1945).
 """
 
 from __future__ import annotations
@@ -47,17 +47,13 @@ def gains(cases: Sequence[Case], smaller: Point, larger: Point) -> FloatArray:
     plain = _losses(cases, smaller, smaller.scale)
 
     def left_out(fold: int) -> list[FloatArray]:
-        hidden = [s % FOLDS == fold for s in stretches]
+        hidden = [~c.passed_over & (s % FOLDS == fold) for c, s in zip(cases, stretches, strict=True)]
         fitted = [replace(c, unforeseen=c.passed_over | h) for c, h in zip(cases, hidden, strict=True)]
         mine = ready.with_steps(fitted, larger.structure)
         # Where names gave way to fewer there may be nothing of its own.
         found = likelihood.climb(mine, larger.structure, larger.values, larger.density, own) if own else larger
-        return [
-            np.bincount(s, np.where(h & ~c.passed_over, one - other, 0.0))[np.unique(s[h & ~c.passed_over])]
-            for c, s, h, one, other in zip(
-                cases, stretches, hidden, plain, _losses(cases, found, smaller.scale), strict=True
-            )
-        ]
+        better = [a - b for a, b in zip(plain, _losses(cases, found, smaller.scale), strict=True)]
+        return [np.bincount(s[h], d[h])[np.unique(s[h])] for s, h, d in zip(stretches, hidden, better, strict=True)]
 
     with ThreadPoolExecutor(2) as pool:
         return np.concatenate([g for fold in pool.map(left_out, range(FOLDS)) for g in fold])
