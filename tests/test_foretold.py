@@ -22,7 +22,7 @@ COUNT = 2.0 * np.pi / 16384
 SPEEDS = np.linspace(-8.0, 8.0, KNOTS)
 
 
-def recorded(hump: float, seconds: float = 20.0, slow: float = 1.0) -> Recording:
+def recorded(hump: float, seconds: float = 20.0) -> Recording:
     """A resistance that is larger at one speed by `hump` than a straight line, and torque noise that lasts 0.3 s."""
     rng = np.random.default_rng(4)
     time = 0.002 * np.arange(round(seconds / 0.002))
@@ -30,7 +30,7 @@ def recorded(hump: float, seconds: float = 20.0, slow: float = 1.0) -> Recording
     noise = lfilter([1.0], [1.0, -np.exp(-0.002 / 0.3)], rng.standard_normal(len(time)))
     truth = PLAIN.with_("unknown_velocity")
     curve = through("unknown_velocity", SPEEDS, hump * np.exp(-0.5 * (SPEEDS - 3.0) ** 2))
-    y, _ = run(truth, VALUES | curve, time, command + slow * noise / noise.std() * (command != 0.0))
+    y, _ = run(truth, VALUES | curve, time, command + noise / noise.std() * (command != 0.0))
     return Recording("made", time, command, np.round(y / COUNT) * COUNT, "%", "rad", COUNT)
 
 

@@ -29,6 +29,7 @@ from twin import (
 )
 from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN
+from twin.effects.end_stop import NOWHERE
 from twin.errors import BadInput
 from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
 from twin.hold_out import Part
@@ -39,8 +40,6 @@ from twin.search import UNSURE, Progress, Search
 from twin.unknown import Term
 from twin.writers import latex
 
-#: A place so far off, in the axis' unit, is none.
-NOWHERE = 1e3
 #: So many shapes without a name are drawn to the end; none where names likelier than this leave a smaller share of the
 #: missing torque and took away what depends on the state, or more.
 SKETCHES, LIKELY, FAINT = 3, 0.5, 0.1
@@ -61,7 +60,7 @@ def _white(cases: Sequence[Case], point: Point) -> float:
 
 
 def says(effect: str, model: Model) -> str:
-    """The sentence of an effect with the model's numbers in it; what is nowhere on the way was not met."""
+    """The sentence of an effect with the model's numbers in it; a stop that stands nowhere was not met."""
     shown = {}
     for i in (effect, *EFFECTS[effect].includes):
         for p in model.structure.acting(EFFECTS[i]):
@@ -69,7 +68,7 @@ def says(effect: str, model: Model) -> str:
             unit = model.unit(p.name)
             spread = f" ± {std:.2g}" if math.isfinite(std) else ""
             number = f"{value:.3g}{spread}{'' if unit == '1' else ' ' + unit}"
-            shown[p.name] = number if abs(value) < NOWHERE or p.unit != "{x}" else "none met"
+            shown[p.name] = "none met" if value == NOWHERE.get(p.name) else number
     return EFFECTS[effect].sentence.format(**shown)
 
 

@@ -22,8 +22,8 @@ from twin.likelihood import Case, Point
 
 FloatArray = NDArray[np.float64]
 
-#: Length of a stretch, s: longer than innovations stay correlated, short enough that all states of motion remain.
-STRETCH, FOLDS = 0.5, 5
+#: Of so many stretches one is left out: all states of motion remain in the others.
+FOLDS = 5
 #: What happens less often by chance is no chance.
 SURE = 0.005
 #: On fewer stretches nothing can be told.
@@ -43,7 +43,7 @@ def _losses(cases: Sequence[Case], point: Point, scale: float) -> list[FloatArra
 def gains(cases: Sequence[Case], smaller: Point, larger: Point) -> FloatArray:
     """By how much the larger model does better on each stretch (M,) that its own values were not fitted to."""
     own = tuple(n for n in larger.free if n not in smaller.free)
-    stretches = [(c.drive.time / STRETCH).astype(np.intp) for c in cases]
+    stretches = [(c.drive.time / likelihood.STRETCH).astype(np.intp) for c in cases]
     plain = _losses(cases, smaller, smaller.scale)
 
     def left_out(fold: int) -> list[FloatArray]:

@@ -56,7 +56,7 @@ _BEHIND = 1e-7  # s
 #: So many steps in a row that bring nothing, each much shorter than the one before, end a climb.
 PATIENCE = 4
 #: Longer than innovations of a slightly wrong model stay correlated, s.
-_STRETCH = 0.5
+STRETCH = 0.5
 #: An axis rests that stays in one count for longer than this, s.
 _STILL = 0.5
 #: After a silence of so many s, and so many times the usual one, the filter begins anew: how far a model went astray in
@@ -378,7 +378,7 @@ def evaluate(
     density: float,
     free: tuple[str, ...] = (),
     run: Callable[..., list[Innovations]] | None = None,
-    stretch: float = _STRETCH,
+    stretch: float = STRETCH,
 ) -> Point:
     """Deviance, gradient and information at these values; errors further apart than `stretch` (s), or less where
     little is judged, are independent.
@@ -447,7 +447,7 @@ def _by_stretch(
 
 
 @_unheeded()
-def robust_covariance(cases: Sequence[Case], point: Point, stretch: float = _STRETCH) -> FloatArray:
+def robust_covariance(cases: Sequence[Case], point: Point, stretch: float = STRETCH) -> FloatArray:
     """The point's, by leaving out each stretch (s) in turn.
 
     A parameter that a few stretches decide bends to what these happen to say, and the errors there look small: the

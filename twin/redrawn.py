@@ -70,15 +70,20 @@ def _needed(cases: Sequence[Case], curve: Point, names: Sequence[str]) -> Point:
     return curve
 
 
+def _along(cases: Sequence[Case], last: Point, variable: str) -> FloatArray:
+    """Where the axis was, or how fast: values (200,) of the variable that are equally often passed."""
+    mine = ready.with_steps(cases, last.structure)
+    moves = [locate.missing_torque(c, last.structure, last.values).state(variable) for c in mine]
+    x = np.concatenate(moves)
+    return np.asarray(np.quantile(x[np.isfinite(x)], np.linspace(0.005, 0.995, 200)))
+
+
 def _departs(cases: Sequence[Case], last: Point, curve: Point, ids: Sequence[str], variable: str) -> float:
     """By what share of what the names do, along the recordings, a curve over the variable departs from them.
 
     A constant may be the dead-bands' as well, and a straight line over speed is viscous friction.
     """
-    mine = ready.with_steps(cases, last.structure)
-    moves = [locate.missing_torque(c, last.structure, last.values).state(variable) for c in mine]
-    x = np.concatenate([m[np.isfinite(m)] for m in moves])
-    x = np.quantile(x, np.linspace(0.005, 0.995, 200))
+    x = _along(cases, last, variable)
     named = _torques(ids, last, x, variable).sum(axis=0)
     rest = _torques([f"unknown_{variable}"], curve, x, variable)[0] - named
     shared = np.vander(x, 1 if variable == "position" else 2)
@@ -111,8 +116,7 @@ def _torques(ids: Sequence[str], point: Point, at: FloatArray, variable: str = "
 
 def _left_over(cases: Sequence[Case], last: Point, ids: Sequence[str]) -> float:
     """By what share of what the second largest of these torques does all together vary where the axis was."""
-    read = np.concatenate([c.drive.measured for c in cases])
-    torques = _torques(ids, last, np.quantile(read[np.isfinite(read)], np.linspace(0.005, 0.995, 200)))
+    torques = _torques(ids, last, _along(cases, last, "position"))
     return float(torques.sum(axis=0).std()) / max(float(np.sort(torques.std(axis=1))[-2]), 1e-300)
 
 

@@ -110,8 +110,8 @@ def grids(
             depth = share * fast / math.sqrt(hardness)
             stops.append(
                 {
-                    **({"stop_upper": float(places.max()) - depth} if high else {}),
-                    **({"stop_lower": float(places.min()) + depth} if low else {}),
+                    "stop_upper": float(places.max()) - depth if high else float(places.max()) + travel,
+                    "stop_lower": float(places.min()) + depth if low else float(places.min()) - travel,
                     "stop_stiffness": hardness,
                     "stop_damping": 0.4 * math.sqrt(hardness),
                 }

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from twin import ascent, compare, explain, likelihood, meetings, ready, screening, valleys
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
+from twin.effects.end_stop import NOWHERE
 from twin.explain import Hypothesis, Round
 from twin.likelihood import Case, Point
 from twin.plausibility import plausible
@@ -130,11 +131,11 @@ def _unmet(cases: Sequence[Case], last: Point) -> Point:
     Where nothing shows a stop it may stand at the furthest reading as well as anywhere beyond, and would be met by the
     next recording that goes further.
     """
-    nowhere = {n: screening.neutral("end_stop")[n] for n in ("stop_upper", "stop_lower") if n in last.free}
     mine, fits = ready.with_steps(cases, last.structure), [last]
-    for stop, far in nowhere.items():
-        free = tuple(n for n in last.free if n != stop)
-        fits.append(likelihood.climb(mine, last.structure, {**last.values, stop: far}, last.density, free))
+    for stop, far in NOWHERE.items():
+        if stop in last.free:
+            free = tuple(n for n in last.free if n != stop)
+            fits.append(likelihood.climb(mine, last.structure, {**last.values, stop: far}, last.density, free))
     return min(fits, key=lambda p: compare.criterion(p, compare.worth([last])))
 
 

@@ -8,6 +8,9 @@ from twin.effects.effect import Effect, Screen
 from twin.quantities import Parameter
 from twin.words import maximum, where
 
+#: Where stops stand that nothing met, in the axis' unit.
+NOWHERE = {"stop_upper": 1e3, "stop_lower": -1e3}
+
 
 def law(q: Any, p: Any) -> Any:
     # A bumper damps from the first touch, a hard body the more the deeper it is pressed; a stop pushes, never pulls.
@@ -26,8 +29,8 @@ EFFECT = Effect(
         Parameter("stop_stiffness", "1/s^2", "contact stiffness over inertia", 0.0, 0.0, 2e5, 5e3),
         Parameter("stop_damping", "1/s", "contact damping over inertia", 0.0, 0.0, 5e3, 50.0),
         Parameter("stop_hysteresis", "s/{x}", "growth of the stiffness with approach speed", 0.0, 0.0, 20.0, 0.0),
-        Parameter("stop_upper", "{x}", "position of the upper stop", None, start=1e3),
-        Parameter("stop_lower", "{x}", "position of the lower stop", None, start=-1e3),
+        Parameter("stop_upper", "{x}", "position of the upper stop", None, start=NOWHERE["stop_upper"]),
+        Parameter("stop_lower", "{x}", "position of the lower stop", None, start=NOWHERE["stop_lower"]),
     ),
     law=law,
     depends_on=("position",),
