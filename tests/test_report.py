@@ -120,6 +120,14 @@ def test_a_curve_without_a_name_is_said_and_shown():
     assert "improved model" in page.text and curve in page.text
 
 
+@pytest.mark.parametrize(
+    ("verdict", "says"), [("nothing_missing", "nothing is missing in it"), ("unexplained", "cannot be said")]
+)
+def test_only_where_nothing_is_missing_does_the_machine_lack_nothing(verdict, says):
+    page = Page(report.html(story(diagnosis=replace(example(verdict), station=""))))
+    assert says in page.text and ("nothing is missing in it" in page.text) == (verdict == "nothing_missing")
+
+
 def test_controller_checks_and_two_stage_have_their_place():
     made = control.design(model_of("gravity"), 2.0)
     ran = cosim.simulate(model_of("gravity"), made, cosim.make_reference("minimum-jerk", made))

@@ -215,9 +215,13 @@ def _where(story: Story) -> str:
         places.setdefault(f.station, []).append(phrases.title(f.id))
     if not places and d.station:
         places[d.station] = ["something unknown"]
-    says = "The machine as the model sees it"
-    says += "; what was left out is marked." if places else "; nothing is missing in it."
-    parts = [_figure(figures.chain(places), says)]
+    if places:
+        says = "what was left out is marked."
+    elif d.verdict == "nothing_missing":
+        says = "nothing is missing in it."
+    else:
+        says = "in which part something is missing cannot be said."
+    parts = [_figure(figures.chain(places), f"The machine as the model sees it; {says}")]
     if d.depends_on:
         parts.append(_said(f"What the first model lacks depends on {phrases.variables(d)}."))
     return _section("where", "Where in the machine", *parts)
