@@ -31,6 +31,8 @@ OFF_CENTRE = 0.1
 RUBS = 0.25
 #: Share of a recording at its beginning and its end that is too little to know a load by.
 BESIDE = 0.05
+#: Damping ratio from which on nothing resonates: what then passes from motor to link is only late, as in a lag.
+STILL = math.sqrt(0.5)
 #: What moves by less than a count in this time, s, might as well rest.
 CREEPS = 0.1
 #: A stop gives way by no larger share of the travel.
@@ -71,9 +73,9 @@ def _spring(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
 
 
 def _joint(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
-    """There is a motor on its one side, and something to swing on the other."""
+    """There is a motor on its one side, something on the other, and they swing."""
     least, most = likelihood.bounds_of("motor_share")
-    return 1.5 * least < values["motor_share"] < 1.0 - 1.5 * (1.0 - most)
+    return 1.5 * least < values["motor_share"] < 1.0 - 1.5 * (1.0 - most) and values["joint_damping"] < STILL
 
 
 def _stribeck(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
