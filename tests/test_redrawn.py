@@ -130,6 +130,17 @@ def test_a_name_stays_unless_its_law_is_not_what_is_there(effect, truth, values,
         assert found.curve.deviance < last.deviance - 100.0
 
 
+@pytest.mark.parametrize(("chance", "drawn"), [(0.001, True), (0.2, False)])
+def test_a_curve_takes_no_name_s_place_unless_it_foretells(monkeypatch, chance, drawn):
+    """Twelve knots follow what else the model lacks, too."""
+    one = STRUCTURE.with_("spring")
+    cases = [likelihood.prepare(recorded(STRUCTURE.with_("unknown_position"), 25.0, **CURVE), one)]
+    begin = ready.completed(one, VALUES | {"spring_stiffness": 4.8})
+    last = likelihood.fit(cases, one, begin, ready.free_parameters(one))
+    monkeypatch.setattr(redrawn.foretold, "chance", lambda cases, smaller, larger: chance)
+    assert (redrawn.outdone(cases, STRUCTURE, last, "position") is not None) is drawn
+
+
 @pytest.mark.parametrize(("rough", "drawn"), [(0.0, False), (0.02, False), (0.06, True)])
 def test_a_law_may_miss_a_little_of_what_a_machine_does(monkeypatch, rough, drawn):
     """A spring whose torque swings about the straight line by a share of what it does.

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import compare, equations, explain, likelihood, locate, ready, unknown
+from twin import compare, equations, explain, foretold, likelihood, locate, ready, unknown
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.likelihood import Case, Point
@@ -98,7 +98,8 @@ def outdone(cases: Sequence[Case], first: Structure, last: Point, variable: str)
     if not ids:
         return None
     curve = _drawn(cases, last, ids, variable)
-    if _departs(cases, last, curve, ids, variable) < compare.LAX or not explain.shows(cases, last, curve):
+    departs = _departs(cases, last, curve, ids, variable) >= compare.LAX
+    if not (departs and explain.shows(cases, last, curve) and foretold.chance(cases, last, curve) < foretold.SURE):
         return None
     says = (
         f"{_titles(ids)} would fit in part, but a curve over the {_SPOKEN[variable]} that no known effect describes "
