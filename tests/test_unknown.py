@@ -338,6 +338,30 @@ def test_names_that_leave_little_are_doubted_where_they_took_less_than_depends_o
     assert drawn or nameless is first
 
 
+@pytest.mark.parametrize(("probability", "drawn"), [(0.95, False), (0.8, True)])
+def test_curves_are_drawn_beside_a_name_that_is_not_sure(monkeypatch, probability, drawn):
+    case, first = fitted("drag")
+    last = with_name(case, first, "quadratic_drag")
+    monkeypatch.setattr(extend, "_probabilities", lambda found: ({"quadratic_drag": probability}, ()))
+    before, after = (unknown.leftover(case, p.structure, p.values) for p in (first, last))
+    little = replace(after, share=0.5 * extend.FAINT, size=0.0)
+    tried = []
+    monkeypatch.setattr(unknown, "finish", lambda cases, sketched: tried.append(sketched) or sketched)
+    extend._nameless(Search(first, last, (), (case,)), before, little)
+    assert bool(tried) is drawn
+
+
+@pytest.mark.parametrize(("gain", "relocated"), [(1e6, True), (-1e6, False)])
+def test_gap_and_teeth_are_looked_for_anew_only_beside_curves_that_come_near_the_names(monkeypatch, gain, relocated):
+    case, first = fitted("hump")
+    last = replace(with_name(case, first, "quadratic_drag"), deviance=first.deviance + gain)
+    moved = []
+    monkeypatch.setattr(unknown, "relocated", lambda cases, point: moved.append(point) or point)
+    before = unknown.leftover(case, first.structure, first.values)
+    extend._nameless(Search(first, last, (), (case,)), before, before)
+    assert bool(moved) is relocated
+
+
 def test_a_name_that_a_curve_has_swallowed_grows_again_beside_it():
     case, first = fitted("humped")
     last, nameless = with_name(case, first, "coulomb_friction"), with_curve([case], first, Term("velocity"))

@@ -42,7 +42,7 @@ from twin.writers import latex
 
 #: So many shapes without a name are drawn to the end; none where names likelier than this leave a smaller share of the
 #: missing torque and took away what depends on the state, or more.
-SKETCHES, LIKELY, FAINT = 3, 0.5, 0.1
+SKETCHES, LIKELY, FAINT = 3, 0.9, 0.1
 #: Shapes that are tried whatever the missing torque shows: the likelihood sees more of them than its averages do.
 ALWAYS = ("position", "velocity", "input", "time", "drag")
 
@@ -162,8 +162,8 @@ def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover) 
         tried = pool.map(lambda pair: unknown.sketch(found.cases, *pair), itertools.product(bases, terms))
         best = sorted(tried, key=lambda p: p.deviance)[:SKETCHES]
         fits = list(pool.map(lambda p: unknown.finish(found.cases, p), best))
-    # What the first model lacked may have led its gap and teeth far astray.
-    promising = [p for p in fits if compare.earned(first, p) > 0.0]
+    # What the first model lacked may have led its gap and teeth far astray; what is far behind the names stays there.
+    promising = [p for p in fits if compare.earned(first, p) > 0.0 and compare.ahead(last, p) < compare.LEAST]
     moved = [unknown.relocated(found.cases, p) for p in promising]
     if len(moved) < 2:
         return moved[0] if moved else first
