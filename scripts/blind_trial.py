@@ -172,7 +172,7 @@ def _ids(rng: np.random.Generator, kind: str, outside: Sequence[str]) -> tuple[s
 def _plant(
     rng: np.random.Generator, effect: str, source: Any, rig: Any, stamps: Array, duty: Array, noise_seed: int,
     duration: float,
-) -> Planted | None:  # fmt: skip
+) -> tuple[Concealed, Planted] | None:  # fmt: skip
     """The effect at a size drawn log-uniformly from its noise floor up; None where it cannot show at all."""
     least = SMALLEST
     for _ in range(REDRAWS):
@@ -180,15 +180,26 @@ def _plant(
         drawn = source.draw_effect(rng, effect, rig, size, duration)
         seen = visibility(source.simulate, rig, [drawn], stamps, duty, noise_seed)
         if seen >= FLOOR:
-            return Planted(effect, size, seen, drawn.parameters)
+            return drawn, Planted(effect, size, seen, drawn.parameters)
         least = size  # visibility grows with size: what is below need not be tried again
     return None
 
 
-def make(
-    seed: int, trial: int, kinds: Sequence[str], duration: float, simulator: str = "mujoco"
-) -> tuple[Label, str, Recording]:
-    """A trial's label, its salt and the recording, all by simulator, seed and number."""
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """All that a trial is made of: the label, its salt, and what the simulator is given."""
+
+    label: Label
+    salt: str
+    rig: Any
+    effects: tuple[Concealed, ...]
+    time: Array
+    duty: Array
+    noise_seed: int
+
+
+def draw(seed: int, trial: int, kinds: Sequence[str], duration: float, simulator: str = "mujoco") -> Draw:
+    """A trial, all by simulator, seed and number."""
     source = SIMULATORS[simulator]
     rng = np.random.default_rng([seed, trial])
     salt = rng.bytes(16).hex()
@@ -199,18 +210,29 @@ def make(
         ids = _ids(rng, kind, source.OUTSIDE)
         stamps, duty = EXCITATIONS[excitation](duration, rng, FREE)
         noise_seed = int(rng.integers(2**31))
-        planted = []
+        found = []
         for effect in ids:
-            found = _plant(rng, effect, source, rig, stamps, duty, noise_seed, duration)
-            if found is None:
+            one = _plant(rng, effect, source, rig, stamps, duty, noise_seed, duration)
+            if one is None:
                 break
-            planted.append(found)
+            found.append(one)
         else:
             break
-    label = Label(seed, trial, simulator, kind, excitation, duration, rig.truths(), tuple(planted))
-    run = source.simulate(rig, [Concealed(p.id, p.parameters) for p in planted], stamps, duty, noise_seed)
+    planted = tuple(p for _, p in found)
+    label = Label(seed, trial, simulator, kind, excitation, duration, rig.truths(), planted)
+    return Draw(label, salt, rig, tuple(e for e, _ in found), stamps, duty, noise_seed)
+
+
+def make(
+    seed: int, trial: int, kinds: Sequence[str], duration: float, simulator: str = "mujoco"
+) -> tuple[Label, str, Recording]:
+    """A trial's label, its salt and the recording."""
+    drawn = draw(seed, trial, kinds, duration, simulator)
+    planted = [Concealed(p.id, p.parameters) for p in drawn.label.effects]
+    run = SIMULATORS[simulator].simulate(drawn.rig, planted, drawn.time, drawn.duty, drawn.noise_seed)
     count = 2.0 * math.pi / run.counts_per_revolution
-    return label, salt, Recording(f"trial {trial}", run.time, run.duty, run.counts * count, "%", "rad", count)
+    recording = Recording(f"trial {trial}", run.time, run.duty, run.counts * count, "%", "rad", count)
+    return drawn.label, drawn.salt, recording
 
 
 # ---- the tool, in a process that is given the arguments below and nothing else ----

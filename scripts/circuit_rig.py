@@ -120,6 +120,17 @@ class Rig(NamedTuple):
         """Steady speed at 50 % duty without further effects, rad/s."""
         return self.half_torque / self.viscous_friction
 
+    @property
+    def own(self) -> dict[str, tuple[float, float]]:
+        """What a first model has numbers for: the value, and the largest that it may be."""
+        names = "stall_torque motor_viscous link_viscous dead_band_forward dead_band_reverse gap"
+        shares = {"motor_inertia": 0.98}
+        return {n: (getattr(self, n), most) for n, most in (dict.fromkeys(names.split(), inf) | shares).items()}
+
+    def with_(self, **values: float) -> Rig:
+        """The rig with other numbers."""
+        return self._replace(**values)
+
     def truths(self) -> dict[str, float]:
         """What is drawn with the rig, whatever is concealed in it."""
         return {n: v for n, v in self._asdict().items() if n not in self._field_defaults}

@@ -15,8 +15,8 @@ Chain: duty -> delay -> saturation -> supply -> dead-band -> lag -> gain -> moto
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from math import exp, pi, sin, sqrt
+from dataclasses import asdict, dataclass, replace
+from math import exp, inf, pi, sin, sqrt
 
 import mujoco
 import numpy as np
@@ -62,6 +62,17 @@ class Rig:
     def half_speed(self) -> float:
         """Steady speed at 50 % duty without further effects, rad/s."""
         return self.half_torque / self.viscous_friction
+
+    @property
+    def own(self) -> dict[str, tuple[float, float]]:
+        """What a first model has numbers for: the value, and the largest that it may be."""
+        names = "input_gain viscous_friction dead_band_forward dead_band_backward backlash"
+        shares = {"motor_share": 0.98, "motor_friction_share": 1.0}
+        return {n: (getattr(self, n), most) for n, most in (dict.fromkeys(names.split(), inf) | shares).items()}
+
+    def with_(self, **values: float) -> Rig:
+        """The rig with other numbers."""
+        return replace(self, **values)
 
     def truths(self) -> dict[str, float]:
         return asdict(self)
