@@ -179,5 +179,6 @@ def test_the_answer_is_a_curve_and_says_why(monkeypatch):
     found = extend.diagnose([made], STRUCTURE, {}, ("gravity", "spring"))
     assert found.verdict == "unexplained" and not found.findings
     assert "unknown_position" in found.after.structure and found.depends_on == ("position",)
+    assert found.station == "load"
     assert any("cancel each other" in s for s in found.remarks)
     assert found.fit["holdout"]["after"].rmse < 0.3 * found.fit["holdout"]["before"].rmse

@@ -118,13 +118,14 @@ def test_a_curve_without_a_name_is_said_and_shown():
     assert phrases.headline(drawn).endswith(said)
     page = Page(report.html(story(diagnosis=drawn)))
     assert "improved model" in page.text and curve in page.text
+    assert 'class="station found"' in report._where(story(diagnosis=drawn)) and "is marked" in page.text
 
 
 @pytest.mark.parametrize(
     ("verdict", "says"), [("nothing_missing", "nothing is missing in it"), ("unexplained", "cannot be said")]
 )
 def test_only_where_nothing_is_missing_does_the_machine_lack_nothing(verdict, says):
-    page = Page(report.html(story(diagnosis=replace(example(verdict), station=""))))
+    page = Page(report.html(story(diagnosis=example(verdict))))
     assert says in page.text and ("nothing is missing in it" in page.text) == (verdict == "nothing_missing")
 
 

@@ -335,7 +335,7 @@ def diagnose(
         verdict=verdict,
         findings=findings,
         ranking=ranking,
-        station=findings[0].station if findings else "",
+        station=EFFECTS[telling[0]].station if telling else "",
         depends_on=depends if verdict != "nothing_missing" else (),
         segments=tuple(locate.segments(missing[0])),
         before=before,

@@ -12,7 +12,7 @@ import numpy as np
 from twin import figures, phrases
 from twin.controller import Controller
 from twin.cosim import Tracking
-from twin.effects.catalogue import BASE
+from twin.effects.catalogue import BASE, EFFECTS, UNKNOWN
 from twin.finding import Diagnosis, Finding, Fitness
 from twin.model import Model
 from twin.phrases import measure, number, percent, unit_text
@@ -211,10 +211,8 @@ def _nothing_found(d: Diagnosis) -> str:
 def _where(story: Story) -> str:
     d = story.diagnosis
     places: dict[str, list[str]] = {}
-    for f in d.findings:
-        places.setdefault(f.station, []).append(phrases.title(f.id))
-    if not places and d.station:
-        places[d.station] = ["something unknown"]
+    for i in (*(f.id for f in d.findings), *(i for i in d.after.structure.ids if i in UNKNOWN)):
+        places.setdefault(EFFECTS[i].station, []).append(phrases.title(i))
     if places:
         says = "what was left out is marked."
     elif d.verdict == "nothing_missing":
