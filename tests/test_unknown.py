@@ -362,6 +362,28 @@ def test_gap_and_teeth_are_looked_for_anew_only_beside_curves_that_come_near_the
     assert bool(moved) is relocated
 
 
+def test_names_learn_from_a_curve_where_it_found_a_better_place(monkeypatch):
+    """Held against the curve they are as good as they can be, on either side of a gap."""
+    case, first = fitted("drag")
+    best = with_name(case, first, "quadratic_drag")
+    nameless = with_curve([case], first, Term("velocity"))
+    astray = {**best.values, "viscous_friction": 3.0 * best.values["viscous_friction"]}
+    last = likelihood.evaluate([case], best.structure, astray, best.density, best.free)
+    assert compare.earns(last, nameless)
+    learned = extend._learned(Search(first, last, (), (case,)), nameless)
+    assert learned.last.structure == best.structure
+    assert learned.last.deviance == pytest.approx(best.deviance, abs=1.0)
+    near = Search(first, best, (), (case,))
+    assert extend._learned(near, nameless) is near
+    begun = []
+    monkeypatch.setattr(extend.valleys, "settle", lambda c, s, values, held, d: begun.append(values) or best)
+    sided = replace(last, free=(*last.free, "shaft_share"), values={**last.values, "shaft_share": 0.9})
+    monkeypatch.setattr(compare, "earns", lambda before, after: True)
+    extend._learned(Search(first, sided, (), (case,)), nameless)
+    assert [v["shaft_share"] for v in begun] == [0.9, 0.0, 1.0]
+    assert {v["input_gain"] for v in begun} == {nameless.values["input_gain"]}
+
+
 def test_a_name_that_a_curve_has_swallowed_grows_again_beside_it():
     case, first = fitted("humped")
     last, nameless = with_name(case, first, "coulomb_friction"), with_curve([case], first, Term("velocity"))

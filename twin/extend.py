@@ -171,6 +171,21 @@ def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover) 
     return min(moved, key=lambda p: foretold.chance(found.cases, first, p))
 
 
+def _learned(found: Search, nameless: Point) -> Search:
+    """The search, its last model from where a curve stands that does more in all that both share: gap and teeth were
+    looked for anew beside the curve, and what they are worth is not the curve's.
+    """
+    last = found.last
+    if not compare.earns(last, nameless):
+        return found
+    begun = {**last.values, **{n: nameless.values[n] for n in last.free if n in nameless.free}}
+    held = {n: last.values[n] for n in ready.free_parameters(last.structure) if n not in last.free}
+    # Which side of the gap a torque acts on decides how it is crossed: from the wrong one no slope leads to the other.
+    sides = [begun, *({**begun, "shaft_share": side} for side in (0.0, 1.0) if "shaft_share" in last.free)]
+    fits = [valleys.settle(found.cases, last.structure, values, held, last.density) for values in sides]
+    return replace(found, last=min([last, *fits], key=lambda p: p.deviance))
+
+
 def _outdone(found: Search, nameless: Point, left: Sequence[unknown.Leftover]) -> bool:
     """Whether what has no name is what a recording speaks for: it does more than the names, which beside it do nothing.
 
@@ -287,6 +302,9 @@ def diagnose(
     left = [lacking, unknown.leftover(case, found.last.structure, found.last.values)]
     tell("trying shapes without a name", 0.85)
     nameless = _nameless(found, *left)
+    learned = _learned(found, nameless)
+    if learned is not found:
+        found, left[1] = learned, unknown.leftover(case, learned.last.structure, learned.last.values)
     named = bool(set(found.last.structure.named) - set(first.named))
     if _outdone(found, nameless, left):
         found, verdict = _drawn(found, nameless), "unexplained"
