@@ -362,6 +362,23 @@ def test_gap_and_teeth_are_looked_for_anew_only_beside_curves_that_come_near_the
     assert bool(moved) is relocated
 
 
+def test_a_knot_that_saw_nothing_that_is_judged_is_on_the_line_between_its_neighbours():
+    case, first = fitted("drag")
+    time = case.drive.time
+    begin, end = 0.3 * time[-1], 0.8 * time[-1]
+    rattles = replace(case, rattling=(time > begin) & (time < end))
+    sketched = unknown.sketch([rattles], first, Term("time"))
+    at = np.array(spots("unknown_time", sketched.values))
+    heights = np.array([sketched.values[n] for n in names("unknown_time")])
+    free = np.array([n in sketched.free for n in names("unknown_time")])
+    inside = (np.append(begin, at[:-1]) > begin) & (np.append(at[1:], end) < end)  # with both of its neighbours
+    assert inside.sum() > 1 and not free[inside].any() and free[~inside].sum() > 3
+    assert heights[inside] == pytest.approx(np.interp(at[inside], at[free], heights[free]))
+    blind = replace(case, rattling=np.ones(len(time), dtype=bool))
+    missing = locate.missing_torque(case, first.structure, first.values)
+    assert unknown._where_judged(blind, missing) is missing
+
+
 def test_names_learn_from_a_curve_where_it_found_a_better_place(monkeypatch):
     """Held against the curve they are as good as they can be, on either side of a gap."""
     case, first = fitted("drag")

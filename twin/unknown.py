@@ -386,12 +386,21 @@ def _bridged(values: Mapping[str, float], prefix: str, free: Sequence[str]) -> d
     return {**values, **dict(zip(knots, straight(at).tolist(), strict=True))}
 
 
+def _where_judged(case: Case, missing: Missing) -> Missing:
+    """What is missing where readings are judged: a knot that saw others alone, as while a motor rattles, is held by
+    nothing and would be thrown anywhere. All of it where too few are judged for a curve.
+    """
+    torque = np.where(case.passed_over, np.nan, missing.torque)
+    enough = np.count_nonzero(np.isfinite(torque)) * missing.step > KNOTS * _AVERAGE
+    return replace(missing, torque=torque) if enough else missing
+
+
 def sketch(cases: Sequence[Case], base: Point, term: Term) -> Point:
     """The base model and a term of no known shape, after a few steps at the base's noise density."""
     kind = term.kind
     structure = base.structure.with_(f"unknown_{kind}")
     mine = ready.with_steps(cases, structure)
-    parts = [_averages(locate.missing_torque(c, base.structure, base.values)) for c in mine]
+    parts = [_averages(_where_judged(c, locate.missing_torque(c, base.structure, base.values))) for c in mine]
     means = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
     first = _first_waves if kind in _WAVES else _first_line
     start, free = first(means, term, base.values)
