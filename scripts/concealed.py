@@ -29,6 +29,20 @@ class Concealed:
     carrier: Concealed | None = None
 
 
+def _carriers(effects: Sequence[Concealed]) -> list[Concealed]:
+    return [e.carrier for e in effects if e.carrier is not None]
+
+
+def _travel(position: Array, time: Array, window: float) -> Array:
+    """By how much a position (N,) changes within each window, s."""
+    stride = max(int(np.searchsorted(time - time[0], window)), 1)
+    return np.asarray(position[stride:] - position[:-stride])
+
+
+def _size(change: Array) -> float:
+    return float(np.sqrt(np.mean(change**2)))
+
+
 def visibility(
     simulate: Callable[..., Any],
     rig: Any,
@@ -42,15 +56,13 @@ def visibility(
     over the same for another seed of the noise. Runs are not restarted at each window, so above ten or so it
     only says "plain to see".
     """
-    carriers = [e.carrier for e in effects if e.carrier is not None]
+    carriers = _carriers(effects)
     plain = simulate(rig, carriers, time, duty, seed).counts
     other = simulate(rig, carriers, time, duty, seed + 1).counts
     changed = simulate(rig, effects, time, duty, seed).counts
-    stride = max(int(np.searchsorted(time - time[0], window)), 1)
 
     def travel_change(counts: NDArray[np.int64]) -> float:
-        change = (counts - plain).astype(float)
-        return float(np.sqrt(np.mean((change[stride:] - change[:-stride]) ** 2)))
+        return _size(_travel((counts - plain).astype(float), time, window))
 
     return travel_change(changed) / max(travel_change(other), 0.5)
 
@@ -70,18 +82,13 @@ def unabsorbed(
     first model to show. The numbers are found by least squares from those of the rig; a search that ends early leaves
     more, so that this is the most that it can be.
     """
-    carriers = [e.carrier for e in effects if e.carrier is not None]
-    stride = max(int(np.searchsorted(time - time[0], window)), 1)
+    carriers = _carriers(effects)
     count = 2.0 * np.pi / rig.counts_per_revolution
 
     def travel(rig: Any, effects: Sequence[Concealed], seed: int = seed) -> Array:
-        position = simulate(rig, effects, time, duty, seed).position
-        return np.asarray((position[stride:] - position[:-stride])[::THIN] / count)
+        return _travel(simulate(rig, effects, time, duty, seed).position, time, window)[::THIN] / count
 
-    def size(change: Array) -> float:
-        return float(np.sqrt(np.mean(change**2)))
-
-    noise = max(size(travel(rig, carriers, seed + 1) - travel(rig, carriers)), 0.5)
+    noise = max(_size(travel(rig, carriers, seed + 1) - travel(rig, carriers)), 0.5)
     changed, own = travel(rig, effects), dict(rig.own)
 
     def left(ratios: Array) -> Array:
@@ -92,4 +99,4 @@ def unabsorbed(
     found = least_squares(
         left, np.ones(len(own)), bounds=(0.01, most), x_scale="jac", diff_step=1e-3, max_nfev=ROUNDS
     )  # fmt: skip
-    return size(found.fun)
+    return _size(found.fun)

@@ -179,10 +179,9 @@ def _learned(found: Search, nameless: Point) -> Search:
     if not compare.earns(last, nameless):
         return found
     begun = {**last.values, **{n: nameless.values[n] for n in last.free if n in nameless.free}}
-    held = {n: last.values[n] for n in ready.free_parameters(last.structure) if n not in last.free}
     # Which side of the gap a torque acts on decides how it is crossed: from the wrong one no slope leads to the other.
     sides = [begun, *({**begun, "shaft_share": side} for side in (0.0, 1.0) if "shaft_share" in last.free)]
-    fits = [valleys.settle(found.cases, last.structure, values, held, last.density) for values in sides]
+    fits = [valleys.settle(found.cases, last.structure, v, valleys.kept(last), last.density) for v in sides]
     return replace(found, last=min([last, *fits], key=lambda p: p.deviance))
 
 

@@ -420,8 +420,7 @@ def finish(cases: Sequence[Case], sketched: Point) -> Point:
 
 def relocated(cases: Sequence[Case], point: Point) -> Point:
     """The point, or a better one where gap, shares and teeth are looked for anew; what is not free stays as it is."""
-    free = ready.free_parameters(point.structure)
-    return valleys.relocated(cases, point, {n: point.values[n] for n in free if n not in point.free})
+    return valleys.relocated(cases, point, valleys.kept(point))
 
 
 #: What can draw the tables that are not drawn by the term over their first variable.

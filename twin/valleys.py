@@ -39,6 +39,11 @@ def settle(
     return likelihood.climb(mine, structure, full, density, free, tolerance=0.2)
 
 
+def kept(point: Point) -> dict[str, float]:
+    """What could be estimated and was not free: it stays as it is."""
+    return {n: point.values[n] for n in ready.free_parameters(point.structure) if n not in point.free}
+
+
 def rejudged(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
     """The maximum at the noise density that the model asks for, now that it lacks less."""
     mine = ready.with_steps(cases, point.structure)
