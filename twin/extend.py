@@ -190,15 +190,16 @@ def _outdone(found: Search, nameless: Point, left: Sequence[unknown.Leftover]) -
 
     Where the missing torque of neither model, `left`, goes with anything, it has to foretell what it was not fitted to.
     Every real friction departs a little from its name, and a curve that may take any shape follows it; but what else
-    the name says, as that friction turns with the motion, the curve does not have. Names have earned their place
-    before: they keep it where they grow again beside the curve and are worth their parameters.
+    the name says, as that friction turns with the motion, the curve does not have. So names keep their place where they
+    grow again beside the curve and each still earns it there.
     """
     if not compare.earns(found.last, nameless):
         return False
     goes = any(one.p_value < unknown.SURE for one in left) and explain.shows(found.cases, found.last, nameless)
     if not goes and foretold.chance(found.cases, found.last, nameless) > foretold.SURE:
         return False
-    return compare.ahead(_beside(found, nameless), nameless) <= 0.0
+    names = len(found.last.structure.named) - len(found.first.structure.named)
+    return compare.ahead(_beside(found, nameless), nameless) <= names * compare.LEAST
 
 
 def _drawn(found: Search, nameless: Point) -> Search:
@@ -231,6 +232,42 @@ def _beside(found: Search, nameless: Point) -> Point:
     mine, kept = ready.with_steps(found.cases, both), [n for n in last.free if n not in first.free]
     begun = ready.completed(both, {**last.values, **nameless.values, **nothing})
     return likelihood.climb(mine, both, begun, nameless.density, tuple(dict.fromkeys((*nameless.free, *kept))))
+
+
+def _idle(sharp: Point, first: Structure) -> list[str]:
+    """The effects that are within a standard error of doing nothing, `sharp` being the last model with the longest
+    memory that it bears.
+    """
+    std = dict(zip(sharp.free, np.sqrt(np.diag(sharp.robust_covariance)).tolist(), strict=True))
+    out = []
+    for e in sharp.structure.effects:
+        gain = e.screen.gain if e.screen and e.id not in first else ""
+        nothing = next((p.neutral for p in e.parameters if p.name == gain), None)
+        if gain in std and nothing is not None and abs(sharp.values[gain] - nothing) < std[gain]:
+            out.append(e.id)
+    return [i for i in out if not any(i in e.includes for e in sharp.structure.effects)]
+
+
+def _foreseeing(found: Search) -> tuple[list[Case], Point]:
+    """The last model with the longest memory that it bears, and the cases as they are judged by what it foresees."""
+    sharp = valleys.sharpened(found.cases, found.last)
+    return ascent.foreseen(ready.with_steps(found.cases, sharp.structure), sharp)
+
+
+def _lasting(found: Search, first: Structure) -> tuple[Search, tuple[list[Case], Point]]:
+    """The search without the effects of its last model that a filter makes nothing of which remembers for as long as
+    that model bears: what is there acts for longer than a bounce. And what that filter foresees.
+    """
+    foreseen = _foreseeing(found)
+    while idle := _idle(foreseen[1], first):
+        last = found.last
+        less = last.structure.without(*idle)
+        last = valleys.settle(found.cases, less, foreseen[1].values, valleys.kept(last), last.density)
+        lesser = tuple(q for q in found.lesser if len(q.structure.named) < len(less.named))
+        swaps = tuple(w for w in found.swaps if w.effect in less)
+        found = replace(found, last=last, lesser=lesser, swaps=swaps)
+        foreseen = _foreseeing(found)
+    return found, foreseen
 
 
 def _next(found: Search) -> Experiment:
@@ -296,6 +333,8 @@ def diagnose(
         clock = now
 
     train, held_out, found, said = _searched(recordings, first, held, candidates, progress)
+    found, foreseen = _lasting(found, first)
+    seen = found.last
     lap("search")
     case, lacking = _telling(found)
     left = [lacking, unknown.leftover(case, found.last.structure, found.last.values)]
@@ -315,9 +354,9 @@ def diagnose(
         found, verdict = _kept(found, nameless, unknown.verdict(named, *left))
     lap("term without a name")
     tell("fitting both models to the end", 0.87)
+    judged, last_point = foreseen if found.last is seen else _foreseeing(found)
     # Of a model without the right physics nobody can say what it would have to foresee.
-    first_point, last_point = (valleys.sharpened(found.cases, p) for p in (found.first, found.last))
-    judged, last_point = ascent.foreseen(ready.with_steps(found.cases, last_point.structure), last_point)
+    first_point = valleys.sharpened(found.cases, found.first)
     before = after = identify.to_model(judged, last_point, train, held)
     if first_point.structure == last_point.structure:
         first_point = last_point

@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,44 @@ def _heating(missing: Missing, values: Mapping[str, float], span: float) -> floa
     current = missing.command - share * values["viscous_friction"] / gain * missing.velocity
     mean = float(np.sqrt(np.nanmean(np.square(current)))) if np.isfinite(current).any() else span
     return min(max(mean, 0.05 * span), span)
+
+
+def _followed(missing: Missing, effect: str, row: Mapping[str, float]) -> dict[str, float]:
+    """The row, with the size and phase at which the effect's law on link or shaft follows the missing torque best."""
+    page = EFFECTS[effect]
+    assert page.law is not None and page.screen is not None and page.screen.pair and page.screen.combine
+    read = np.flatnonzero(np.isfinite(missing.torque))
+    at = read[np.linspace(0, len(read) - 1, min(_FOLLOWED, len(read))).astype(np.intp)]
+    name, *phases = page.screen.pair
+    places = [SimpleNamespace(position=x, time=t) for x, t in zip(missing.position[at], missing.time[at], strict=True)]
+    sizes = [SimpleNamespace(**{**row, page.screen.gain: 1.0, name: phase}) for phase in phases]
+    laws = [[page.law(q, p) for q in places] for p in sizes]
+    torque = missing.torque[at]
+    clipped = np.clip(torque, *np.quantile(torque, [0.01, 0.99]))
+    _, one, other = np.linalg.lstsq(np.array([np.ones(len(at)), *laws]).T, clipped, rcond=None)[0].tolist()
+    gain, phase = page.screen.combine(one, other)
+    return {**row, page.screen.gain: gain, name: phase}
+
+
+def traded(structure: Structure, values: Mapping[str, float]) -> dict[str, list[dict[str, float]]]:
+    """Dry friction in the place of what dead-bands could be instead: while the drive pushes, either takes as much away.
+
+    Half of what both have in common, or what one has beyond the other. No slope leads all the way from one to the other
+    where gap and shares have been fitted to the wrong one.
+    """
+    if "dead_band" not in structure:
+        return {}
+    forward, reverse, gain = (values[n] for n in ("dead_band_forward", "dead_band_reverse", "input_gain"))
+    dry, lean = values.get("coulomb_friction", 0.0), values.get("friction_asymmetry", 0.0)
+    common, half = min(forward, reverse), 0.5 * (forward - reverse)
+    both = {"dead_band_forward": forward - 0.5 * common, "dead_band_reverse": reverse - 0.5 * common}
+    one = {"dead_band_forward": common, "dead_band_reverse": common}
+    return {
+        "coulomb_friction": [{**both, "coulomb_friction": dry + 0.5 * gain * common}],
+        "friction_asymmetry": [
+            {**one, "coulomb_friction": dry + gain * abs(half), "friction_asymmetry": lean + gain * half}
+        ],
+    }
 
 
 def grids(
@@ -132,8 +171,17 @@ def grids(
             for share in (0.15, 0.3, 0.45)
             for gap in (0.015 * lever, 0.04 * lever)
         ]
+    for effect, rows in traded(structure, values).items():
+        out[effect] += rows
+    for effect in _PHASED:
+        out[effect] += [_followed(missing, effect, row) for row in out[effect]]
     return out
 
+
+#: Torques whose phase a step from nothing may get wrong: they begin where they follow the missing torque, too.
+_PHASED = ("gravity", "torque_ripple", "periodic_disturbance")
+#: Stamps at which that is looked at.
+_FOLLOWED = 4000
 
 #: Candidates whose gain has no neutral value to differentiate at, or acts too far from it: tried as they are.
 _DIRECT = ("drive_saturation", "motor_lag", "input_delay", "end_stop", "joint_elasticity")
@@ -224,10 +272,12 @@ def _nested_starts(
     starts = []
     for trial in trials:
         values = ready.completed(structure, {**base.values, **unmoved, **trial})
-        free = (*base.free, screen.gain, *companions)
-        if screen.pair is None:
+        phased = (screen.pair[0],) if screen.pair is not None and screen.gain in trial else ()
+        free = (*base.free, screen.gain, *phased, *companions)
+        if screen.pair is None or phased:
             point = likelihood.evaluate(cases, structure, values, base.density, free)
-            step, promise = _score(base, point, (screen.gain, *companions))
+            step, promise = _score(base, point, (screen.gain, *phased, *companions))
+            promise += base.deviance - point.deviance
             found = dict(zip(free, step.tolist(), strict=True))
         else:
             name, first, second = screen.pair
@@ -296,7 +346,7 @@ class Entry:
 
 
 #: Shares of a Newton step among which the likeliest is where a climb begins.
-_SHARES = (1.0, 0.3, 0.1)
+_SHARES = (1.0, 0.3, 0.1, 0.0)
 
 
 def extended(structure: Structure, effect: str) -> Structure:
@@ -311,6 +361,7 @@ def enter(cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapp
     mine = ready.with_steps(cases, structure)
     held = set(ready.free_parameters(base.structure)) - set(base.free)
     free = tuple(n for n in ready.free_parameters(structure) if n not in held)
+    trials = [{n: v for n, v in row.items() if n not in held} for row in trials]
     if effect in _DIRECT:
         best = _direct_start(mine, base, effect, trials, free)
     else:
