@@ -8,8 +8,9 @@ from axis_runs import run, steps
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin import likelihood, locate, ready, screening, valleys
+from twin import ascent, likelihood, locate, ready, screening, valleys
 from twin.axis import Structure
+from twin.effects.catalogue import EFFECTS
 from twin.recording import Recording
 
 
@@ -110,3 +111,95 @@ def test_a_fade_is_measured_by_the_current_that_a_turning_motor_draws() -> None:
     held = locate.Missing(time, nothing, nothing, nothing, nothing, command, 0.002)
     for gain in (0.4, 0.0):
         assert screening._heating(held, values | {"input_gain": gain}, 40.0) == pytest.approx(40.0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    effect=st.sampled_from(screening._PHASED), size=st.floats(0.5, 30.0), phase=st.floats(-3.1, 3.1),
+    mean=st.floats(-2.0, 2.0),
+)  # fmt: skip
+def test_a_torque_begins_with_the_size_and_phase_that_what_is_missing_has(effect, size, phase, mean) -> None:
+    time = 0.002 * np.arange(15000)
+    position = 4.0 * np.sin(0.7 * time) + 0.5 * time
+    row, angle = {
+        "gravity": ({}, position),
+        "torque_ripple": ({"ripple_order": 19.0}, 19.0 * position),
+        "periodic_disturbance": ({"disturbance_frequency": 2.3}, 2.0 * np.pi * 2.3 * time),
+    }[effect]
+    sign = -1.0 if effect == "gravity" else 1.0  # gravity pulls towards its angle
+    torque = noisy(sign * size * np.sin(angle - phase) + mean)
+    torque[100:200] = np.nan
+    nothing = np.zeros(len(time))
+    missing = locate.Missing(time, torque, position, nothing, nothing, nothing, 0.002)
+    found = screening._followed(missing, effect, row)
+    screen = EFFECTS[effect].screen
+    assert found[screen.gain] == pytest.approx(size, abs=0.3 + 0.05 * size)
+    turned = size * np.exp(1j * phase), found[screen.gain] * np.exp(1j * found[screen.pair[0]])
+    assert abs(turned[0] - turned[1]) < 0.3 + 0.05 * size
+    assert row.items() <= found.items()
+
+
+DRIVEN = Structure.of(["inertia", "viscous_friction", "dead_band"])
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    forward=st.floats(1.0, 20.0), reverse=st.floats(1.0, 20.0), dry=st.floats(0.0, 2.0), lean=st.floats(-1.0, 1.0),
+    command=st.sampled_from([45.0, -45.0]),
+)  # fmt: skip
+def test_while_the_drive_pushes_friction_takes_what_the_dead_band_did(forward, reverse, dry, lean, command) -> None:
+    first = {
+        "input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": forward, "dead_band_reverse": reverse,
+        "coulomb_friction": dry, "friction_asymmetry": lean * dry,
+    }  # fmt: skip
+    own = DRIVEN.with_("friction_asymmetry")
+    time = 0.002 * np.arange(1500)
+    y, _ = run(own, first, time, np.full(len(time), command))
+    for effect, (row,) in screening.traded(own, first).items():
+        given = {**first, **row}
+        other, _ = run(own, given, time, np.full(len(time), command))
+        assert other == pytest.approx(y, abs=1e-3), effect
+        assert given["coulomb_friction"] >= abs(given["friction_asymmetry"]) - 1e-9
+    assert screening.traded(own.without("dead_band"), first) == {}
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_strong_ripple_promises_more_where_it_follows_what_is_missing(seed) -> None:
+    """From nothing the slopes lead to a small ripple out of phase: the link has gone round it by then."""
+    structure = ready.base_structure()
+    values = {
+        "input_gain": 2.2, "viscous_friction": 6.0, "dead_band_forward": 10.7, "dead_band_reverse": 12.0,
+        "backlash_gap": 0.015, "motor_share": 0.3, "friction_share": 0.8, "tooth_frequency": 99.0, "tooth_damping": 0.4,
+    }  # fmt: skip
+    ripple = {"ripple_torque": 26.0, "ripple_order": 19.0, "ripple_phase": 0.6, "shaft_share": 0.3}
+    rng = np.random.default_rng(seed)
+    time, count = 0.002 * np.arange(10000), 2.0 * np.pi / 4096.0
+    rates, phases = 2.0 * np.pi * np.array([0.13, 0.41, 1.1]), rng.uniform(0.0, 6.0, 3)
+    duty = 30.0 * np.sin(np.outer(time, rates) + phases).sum(axis=1)
+    shaken = duty + 0.3 * rng.standard_normal(len(time))
+    y, _ = run(ready.with_teeth(structure).with_("torque_ripple"), values | ripple, time, shaken)
+    made = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
+    cases, rough = ascent.start([made], structure, {})
+    before = valleys.settle(cases, structure, values | rough[0].values, {}, likelihood.density_of(cases[0], 0.1))
+    trials = screening.grids(cases, before.structure, before.values)["torque_ripple"]
+    mine = ready.with_steps(cases, screening.extended(before.structure, "torque_ripple"))
+    starts = screening._nested_starts(mine, before, "torque_ripple", trials)
+    own = [t for t in starts if t.values["ripple_order"] == pytest.approx(19.0)]
+    nothing, followed = sorted(own, key=lambda t: t.values["ripple_torque"])
+    assert (nothing.values["ripple_torque"], len(own)) == (0.0, 2)
+    assert followed.promise > 1.2 * nothing.promise > 0.0
+
+
+def test_a_candidate_moves_nothing_that_is_held() -> None:
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 9.0}
+    time = 0.002 * np.arange(3000)
+    duty = steps(np.random.default_rng(4), len(time), 200, 40.0)
+    y, _ = run(DRIVEN, values, time, duty)
+    cases = ready.prepare([Recording("made", time, duty, y, "%", "rad", 1e-4)], DRIVEN)
+    known = {n: values[n] for n in ("dead_band_forward", "dead_band_reverse")}
+    before = valleys.settle(cases, DRIVEN, values, known, likelihood.density_of(cases[0], 0.1))
+    for effect, trials in screening.grids(cases, DRIVEN, before.values).items():
+        if effect in ("coulomb_friction", "friction_asymmetry"):
+            assert any(known.keys() <= row.keys() for row in trials)
+            entry = screening.enter(cases, before, effect, trials)
+            assert known.items() <= entry.values.items()

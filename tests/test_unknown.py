@@ -17,7 +17,7 @@ from twin.effects.catalogue import CANDIDATES, UNKNOWN
 from twin.effects.knots import KNOTS, held, line, names, spots, through
 from twin.likelihood import Case, Point
 from twin.recording import Recording
-from twin.search import Search
+from twin.search import Search, Swap
 from twin.unknown import Term
 
 STRUCTURE = Structure.of(("inertia", "viscous_friction", "dead_band"))
@@ -323,6 +323,37 @@ def test_what_has_no_name_wins_where_the_names_do_nothing_beside_it(key, name, t
     found = Search(first, last, (), (case,))
     for p_value in (1.0, 0.0):
         assert extend._outdone(found, nameless, [left(0.3, p_value, 0.4)]) is outdone
+
+
+@pytest.mark.parametrize(
+    ("names", "earned", "outdone"), [(1, 10.0, True), (1, 30.0, False), (2, 30.0, True), (2, 50.0, False)]
+)
+def test_beside_a_curve_that_does_more_every_name_has_to_earn_its_place(monkeypatch, names, earned, outdone):
+    case, first = fitted("hump")
+    last = replace(first, structure=STRUCTURE.with_(*("quadratic_drag", "gravity")[:names]))
+    nameless = with_curve([case], first, Term("velocity"))
+    both = replace(nameless, deviance=nameless.deviance - earned * compare.worth([nameless]))
+    monkeypatch.setattr(extend, "_beside", lambda found, curve: both)
+    assert extend._outdone(Search(first, last, (), (case,)), nameless, [left(0.3, 0.0, 0.4)]) is outdone
+
+
+@pytest.mark.parametrize(("key", "kept"), [("nothing", False), ("drag", True)])
+def test_a_name_that_a_longer_memory_makes_nothing_of_is_not_given(key, kept):
+    case, first = fitted(key)
+    last = with_name(case, first, "quadratic_drag")
+    if not kept:
+        last = replace(last, values={**last.values, "quadratic_drag": 0.0})
+    swap = Swap("quadratic_drag", "gravity", last)
+    found = Search(first, last, (), (case,), (first,), (swap,))
+    lasting, (cases, point) = extend._lasting(found, first.structure)
+    assert point.structure == lasting.last.structure and len(cases) == 1
+    if kept:
+        assert lasting is found
+    else:
+        assert lasting.last.structure == first.structure
+        assert (lasting.lesser, lasting.swaps) == ((), ())
+        assert lasting.last.deviance <= first.deviance + 1.0
+    assert extend._lasting(replace(found, last=last), last.structure)[0].last is last
 
 
 @pytest.mark.parametrize(("took", "drawn"), [(0.9, True), (1.1, False)])
