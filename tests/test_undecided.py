@@ -101,6 +101,14 @@ def test_a_rival_takes_its_share_and_a_larger_model_none(also):
     assert pair.ids == ("gravity", "spring") and sum(pair.probabilities) == pytest.approx(known)
 
 
+def test_a_curve_in_the_place_of_a_name_takes_its_place_in_the_ranking():
+    won = searched(1500.0)
+    assert dict(extend._probabilities(won)[1])["gravity"] > 0.9
+    curve = point(100.0, "unknown_position")
+    drawn = Search(won.first, curve, won.rounds, ())
+    assert dict(extend._probabilities(drawn)[1])["gravity"] < 0.01
+
+
 def test_what_one_name_explains_about_as_well_as_two_is_the_one():
     """While it slides, friction that is larger one way is friction and a constant torque."""
     two, one = point(1000.0, "coulomb_friction", "constant_offset"), point(1000.0, "friction_asymmetry")

@@ -754,9 +754,10 @@ def sharpen(point: Point, cases: Sequence[Case], limits: Limits | None = None) -
     if plan.trial is None:
         return Experiment(f"{known}; no input within these limits fixes it better. Allow more input, travel or time.")
     after = float(errors(plan.ledger)[worst])
-    was = "so far not fixed at all" if before[worst] > 0.5 * _UNKNOWN else f"now {before[worst] * size:.2g}{unit}"
+    fixed = before[worst] <= 0.5 * _UNKNOWN
+    was = f"its standard error is now {before[worst] * size:.2g}{unit}" if fixed else "this recording does not fix it"
     why = (
-        f"{known}: its standard error is {was}. {plan.trial.length:.1f} s of this input should bring it to "
+        f"{known}: {was}. {plan.trial.length:.1f} s of this input should bring the standard error to "
         f"{after * size:.2g}{unit}."
     )
     return _played(bench, plan.trial.signal, why, (name,))

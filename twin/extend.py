@@ -92,9 +92,11 @@ def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, fl
         for rival, w in zip(against, weight[1:], strict=False):
             ranking[rival] = max(ranking.get(rival, 0.0), float(w))
     for this in found.rounds[:1]:
-        tried = (this.before, *(h.point for h in this.rivals))
+        # A curve that took the names' place took their chances, too.
+        curve = [found.last] if any(i in UNKNOWN for i in found.last.structure.ids) else []
+        tried = (*(h.point for h in this.rivals), this.before, *curve)
         weight = compare.weights([compare.criterion(p, this.unit) for p in tried])
-        for h, w in zip(this.rivals, weight[1:], strict=True):
+        for h, w in zip(this.rivals, weight, strict=False):
             ranking.setdefault(h.added[0], 0.0 if named else float(w))
     # What the first model has is not missing, whatever could stand in its place.
     ranking |= {e: p for e, p in named.items() if e in found.last.structure.named}
@@ -234,32 +236,34 @@ def _beside(found: Search, nameless: Point) -> Point:
     return likelihood.climb(mine, both, begun, nameless.density, tuple(dict.fromkeys((*nameless.free, *kept))))
 
 
-def _idle(sharp: Point, first: Structure) -> list[str]:
-    """The effects that are within a standard error of doing nothing, `sharp` being the last model with the longest
-    memory that it bears.
-    """
-    std = dict(zip(sharp.free, np.sqrt(np.diag(sharp.robust_covariance)).tolist(), strict=True))
-    out = []
-    for e in sharp.structure.effects:
-        gain = e.screen.gain if e.screen and e.id not in first else ""
-        nothing = next((p.neutral for p in e.parameters if p.name == gain), None)
-        if gain in std and nothing is not None and abs(sharp.values[gain] - nothing) < std[gain]:
-            out.append(e.id)
-    return [i for i in out if not any(i in e.includes for e in sharp.structure.effects)]
-
-
 def _foreseeing(found: Search) -> tuple[list[Case], Point]:
     """The last model with the longest memory that it bears, and the cases as they are judged by what it foresees."""
     sharp = valleys.sharpened(found.cases, found.last)
     return ascent.foreseen(ready.with_steps(found.cases, sharp.structure), sharp)
 
 
+def _idle(cases: Sequence[Case], sharp: Point, first: Structure) -> list[str]:
+    """The names beyond the first model that do nothing: without their size, and all else as it is, `sharp` is as
+    likely.
+    """
+    out = []
+    for page in (EFFECTS[i] for i in sharp.structure.named if i not in first):
+        size = next((p for p in page.parameters if page.screen and p.name == page.screen.gain), None)
+        if size is None or size.neutral is None:
+            continue
+        values = {**sharp.values, size.name: size.neutral}
+        without = likelihood.evaluate(cases, sharp.structure, values, sharp.density)
+        if without.deviance - sharp.deviance < compare.PRICE:
+            out.append(page.id)
+    return out
+
+
 def _lasting(found: Search, first: Structure) -> tuple[Search, tuple[list[Case], Point]]:
-    """The search without the effects of its last model that a filter makes nothing of which remembers for as long as
-    that model bears: what is there acts for longer than a bounce. And what that filter foresees.
+    """The search without the names of its last model that a filter makes nothing of which remembers for as long as that
+    model bears: what is there acts for longer than a bounce. And what that filter foresees.
     """
     foreseen = _foreseeing(found)
-    while idle := _idle(foreseen[1], first):
+    while idle := _idle(*foreseen, first):
         last = found.last
         less = last.structure.without(*idle)
         last = valleys.settle(found.cases, less, foreseen[1].values, valleys.kept(last), last.density)
@@ -425,7 +429,7 @@ def _remarks(found: Search, fit: Mapping[str, Mapping[str, Fitness]]) -> list[st
         f"{c.recording.name}: in {100.0 * c.rattling.mean():.0f} % of what was fitted the input turns so often that "
         "motor and link come to no rest against each other: that is followed, but nothing is concluded from it."
         for c in found.cases
-        if c.rattling is not None
+        if c.rattling is not None and c.rattling.mean() >= 0.005
     ]
     if identify.roughness(found.cases, found.last) > compare.LEAST * compare.worth([found.last]):
         said.append(

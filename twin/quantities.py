@@ -28,7 +28,8 @@ class Parameter:
 
     def unit_for(self, axis: str, drive: str) -> str:
         """The unit on a given rig: `axis` is "rad" or "m", `drive` the unit of the input."""
-        return self.unit.format(x=axis, u=drive)
+        unit = self.unit.format(x=axis, u=drive)
+        return "1" if unit == "rad/rad" else unit
 
     def __repr__(self) -> str:
         return f"{self.name} [{self.unit}]: {self.meaning}"

@@ -229,6 +229,7 @@ class Start:
     values: dict[str, float]  # of the whole model, the candidate doing nothing where it has a neutral value
     steps: dict[str, float]  # from there, to where the candidate would like to be and what follows it
     promise: float
+    neutral: bool = True  # whether the candidate does nothing there
 
     def at(self, share: float) -> dict[str, float]:
         """The values after a share of the steps."""
@@ -300,7 +301,7 @@ def _nested_starts(
             n = len(base.free)
             gain, values[name] = screen.combine(float(step[n]), float(step[n + 1]))
             found = dict(zip(free, [*step[:n].tolist(), gain, *step[n + 2 :].tolist()], strict=True))
-        starts.append(Start(values, found, promise))
+        starts.append(Start(values, found, promise, screen.gain not in trial))
     return starts
 
 
@@ -364,9 +365,17 @@ def enter(cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapp
     trials = [{n: v for n, v in row.items() if n not in held} for row in trials]
     if effect in _DIRECT:
         best = _direct_start(mine, base, effect, trials, free)
-    else:
-        best = max(_nested_starts(mine, base, effect, trials), key=lambda s: s.promise)
-    places = [best.at(share) for share in (_SHARES if best.steps else (0.0,))]
-    if len(places) > 1:
-        places.sort(key=lambda v: likelihood.evaluate(mine, structure, v, base.density).deviance)
-    return Entry(effect, structure, free, places[0], best.promise)
+        return Entry(effect, structure, free, best.values, best.promise)
+    # What a step promises says little where it does not begin with nothing: the likeliest, after a few, is taken.
+    starts, begun = _nested_starts(mine, base, effect, trials), []
+    for kind in ([s for s in starts if s.neutral], [s for s in starts if not s.neutral]):
+        if kind:
+            best = max(kind, key=lambda s: s.promise)
+            places = [likelihood.evaluate(mine, structure, best.at(share), base.density) for share in _SHARES]
+            begun.append((best.promise, min(places, key=lambda p: p.deviance).values))
+    promise, values = begun[0]
+    if len(begun) > 1:
+        reached = [likelihood.climb(mine, structure, v, base.density, free, _STEPS, 1.0) for _, v in begun]
+        likeliest = min(reached, key=lambda p: p.deviance)
+        promise, values = max(promise, base.deviance - likeliest.deviance), likeliest.values
+    return Entry(effect, structure, free, values, promise)
