@@ -285,3 +285,38 @@ def test_errors_are_judged_where_something_was_read_and_beyond_what_rounding_tak
     count, logs = kernel.compiled().normalising(error, variance, squares)
     np.testing.assert_allclose(squares[:count], [0.25 / 2, 0.04 / 4, 0.0, 0.09 / 12])
     assert logs == pytest.approx(math.log(2 * 4 * 10 * 12))
+
+
+@settings(max_examples=20, deadline=None)
+@given(dry=st.floats(0.0, 2.0), beyond=st.floats(0.0, 2.0), side=st.sampled_from([-1.0, 1.0]))
+def test_friction_that_would_push_is_none(dry: float, beyond: float, side: float) -> None:
+    """Beyond friction in one direction alone nothing changes but the numbers, and they go no further."""
+    structure = Structure.of(["inertia", "viscous_friction", "dead_band", "friction_asymmetry"])
+    values = {n: VALUES[n] for n in ("input_gain", "viscous_friction", "dead_band_forward", "dead_band_reverse")}
+    values |= {"coulomb_friction": dry, "friction_asymmetry": side * (dry + beyond)}
+    time = 0.002 * np.arange(2000)
+    command = steps(np.random.default_rng(8), len(time), 150, 40.0)
+    there, _ = run(structure, values, time, command)
+    within = likelihood._resisting(values, tuple(values))
+    here, _ = run(structure, within, time, command)
+    assert here == pytest.approx(there, abs=1e-9)
+    assert abs(within["friction_asymmetry"]) <= within["coulomb_friction"] + 1e-12
+    known = likelihood._resisting(values, ("friction_asymmetry",))
+    assert known["coulomb_friction"] == dry == pytest.approx(abs(known["friction_asymmetry"]))
+
+
+def test_friction_in_one_direction_alone_has_a_size_that_is_known() -> None:
+    structure = Structure.of(["inertia", "viscous_friction", "dead_band", "friction_asymmetry"])
+    values = {n: VALUES[n] for n in ("input_gain", "viscous_friction", "dead_band_forward", "dead_band_reverse")}
+    values |= {"coulomb_friction": 1.0, "friction_asymmetry": -1.0}
+    rng = np.random.default_rng(9)
+    time = 0.002 * np.arange(10000)
+    command = np.where(np.arange(len(time)) % 400 < 100, 0.0, steps(rng, len(time), 200, 40.0))
+    y, _ = run(structure, values, time, command + 0.3 * rng.standard_normal(len(time)))
+    recording = Recording("made", time, command, np.round(y / COUNT) * COUNT, "%", "rad", COUNT)
+    case = likelihood.prepare(recording, structure)
+    begun = {**values, "coulomb_friction": 0.4, "friction_asymmetry": -1.5}
+    found = likelihood.climb([case], structure, begun, likelihood.density_of(case, 0.1), tuple(values))
+    lean = found.free.index("friction_asymmetry")
+    assert found.values["friction_asymmetry"] == pytest.approx(-1.0, abs=0.1)
+    assert found.robust_covariance[lean, lean] ** 0.5 < 0.1

@@ -494,6 +494,18 @@ def _within(values: Mapping[str, float]) -> dict[str, float]:
     return {n: min(max(v, _BOUNDS[n][0]), _BOUNDS[n][1]) for n, v in values.items()}
 
 
+def _resisting(values: dict[str, float], free: Sequence[str]) -> dict[str, float]:
+    """The values where dry friction resists both ways. Friction that would push is none, so that beyond there values
+    differ which say the same, and none of them is known.
+    """
+    lean, dry = values.get("friction_asymmetry", 0.0), values.get("coulomb_friction", 0.0)
+    beyond = abs(lean) - dry
+    if beyond <= 0.0 or "friction_asymmetry" not in free:
+        return values
+    size = dry + 0.5 * beyond if "coulomb_friction" in free else dry
+    return {**values, "coulomb_friction": size, "friction_asymmetry": math.copysign(size, lean)}
+
+
 def _moved(point: Point, damping: float) -> dict[str, float]:
     """The values after one damped Gauss-Newton step, the best one within the bounds."""
     here = np.array([point.values[n] for n in point.free])
@@ -514,7 +526,7 @@ def _moved(point: Point, damping: float) -> dict[str, float]:
         step[worst] = least[worst] if step[worst] < least[worst] else most[worst]
         inside[worst] = False
     moved = np.clip(here + step, low, high)
-    return {**point.values, **dict(zip(point.free, moved.tolist(), strict=True))}
+    return _resisting({**point.values, **dict(zip(point.free, moved.tolist(), strict=True))}, point.free)
 
 
 def climb(

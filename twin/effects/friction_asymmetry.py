@@ -28,7 +28,10 @@ EFFECT = Effect(
     law=law,
     depends_on=("direction",),
     promises=frozenset({"memoryless"}),
-    sentence="Dry friction is larger forwards than backwards by twice {friction_asymmetry}.",
+    sentence=(
+        "Dry friction of {coulomb_friction} in the mean depends on the direction: half the difference, forwards minus "
+        "backwards, is {friction_asymmetry}."
+    ),
     reference="Janot, Gautier, Brunot, Data set and reference models of EMPS, 2019",
     confused_with={
         "constant_offset": "rest on either side: an offset acts at rest and pushes one way, friction only resists",
