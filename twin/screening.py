@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import likelihood, locate, ready
+from twin import compare, likelihood, locate, ready
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.likelihood import Case, Point
@@ -366,7 +366,7 @@ def enter(cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapp
     if effect in _DIRECT:
         best = _direct_start(mine, base, effect, trials, free)
         return Entry(effect, structure, free, best.values, best.promise)
-    # What a step promises says little where it does not begin with nothing: the likeliest, after a few, is taken.
+    # From elsewhere is where no step from nothing leads: it must be worth more than the largest of many such looks.
     starts, begun = _nested_starts(mine, base, effect, trials), []
     for kind in ([s for s in starts if s.neutral], [s for s in starts if not s.neutral]):
         if kind:
@@ -375,7 +375,10 @@ def enter(cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapp
             begun.append((best.promise, min(places, key=lambda p: p.deviance).values))
     promise, values = begun[0]
     if len(begun) > 1:
-        reached = [likelihood.climb(mine, structure, v, base.density, free, _STEPS, 1.0) for _, v in begun]
-        likeliest = min(reached, key=lambda p: p.deviance)
-        promise, values = max(promise, base.deviance - likeliest.deviance), likeliest.values
+        nothing, elsewhere = (
+            likelihood.climb(mine, structure, v, base.density, free, _STEPS, 1.0) for _, v in begun
+        )
+        promise, values = max(promise, base.deviance - nothing.deviance), nothing.values
+        if nothing.deviance - elsewhere.deviance > compare.LEAST * compare.worth([nothing, elsewhere]):
+            promise, values = max(promise, base.deviance - elsewhere.deviance), elsewhere.values
     return Entry(effect, structure, free, values, promise)
