@@ -114,6 +114,14 @@ def test_what_a_rival_has_but_does_not_use_does_not_make_it_another_truth():
     assert [p.truth for p in experiment._pairs([point, busy])] == [point, busy]
 
 
+def test_rivals_that_add_only_what_does_nothing_leave_the_question_what_is_known_worst():
+    point, cases = fitted([played((), *steps())])
+    other, _ = fitted([played((), *steps())], "coulomb_friction")
+    idle = replace(other, values={**point.values, **other.values, "coulomb_friction": 0.0})
+    assert experiment._pairs([point, idle]) == []
+    assert separate([point, idle], cases).why == sharpen(point, cases).why != ""
+
+
 def test_a_smaller_model_within_a_larger_one_is_asked_one_way_only():
     first = played(("coulomb_friction",), *steps())
     small, cases = fitted([first])

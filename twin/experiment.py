@@ -646,17 +646,18 @@ def separate(rivals: Sequence[Point], cases: Sequence[Case], limits: Limits | No
     """The input that tells the first of the rivals, the likeliest, from the others.
 
     Rivals are fitted models in the order of their probability (the first three count), `cases` the recordings that
-    they were fitted to. With one rival the question is `sharpen`'s. The input starts from rest and is as short as a
-    verdict needs. What it promises holds as far as the physics that the rivals share is right: with rigid teeth on a
-    rig whose teeth give, far more is promised than comes (scripts/experiment_study.py).
+    they were fitted to. With one rival, or others that add only what does nothing, the question is `sharpen`'s. The
+    input starts from rest and is as short as a verdict needs. What it promises holds as far as the physics that the
+    rivals share is right: with rigid teeth on a rig whose teeth give, far more is promised than comes
+    (scripts/experiment_study.py).
 
     Raises BadInput where the limits or the recordings leave no room for any input.
     """
     limits = limits or Limits()
-    if len(rivals) == 1:
+    pairs = _pairs(rivals)
+    if not pairs:
         return sharpen(rivals[0], cases, limits)
     bench = _bench(rivals[:_RIVALS], cases, limits)
-    pairs = _pairs(rivals)
     shown = [r.structure for r in rivals[:_RIVALS]]
 
     def shortfall(ledger: Ledger) -> float:
