@@ -81,27 +81,6 @@ def _followed(missing: Missing, effect: str, row: Mapping[str, float]) -> dict[s
     return {**row, page.screen.gain: gain, name: phase}
 
 
-def traded(structure: Structure, values: Mapping[str, float]) -> dict[str, list[dict[str, float]]]:
-    """Dry friction in the place of what dead-bands could be instead: while the drive pushes, either takes as much away.
-
-    Half of what both have in common, or what one has beyond the other. No slope leads all the way from one to the other
-    where gap and shares have been fitted to the wrong one.
-    """
-    if "dead_band" not in structure:
-        return {}
-    forward, reverse, gain = (values[n] for n in ("dead_band_forward", "dead_band_reverse", "input_gain"))
-    dry, lean = values.get("coulomb_friction", 0.0), values.get("friction_asymmetry", 0.0)
-    common, half = min(forward, reverse), 0.5 * (forward - reverse)
-    both = {"dead_band_forward": forward - 0.5 * common, "dead_band_reverse": reverse - 0.5 * common}
-    one = {"dead_band_forward": common, "dead_band_reverse": common}
-    return {
-        "coulomb_friction": [{**both, "coulomb_friction": dry + 0.5 * gain * common}],
-        "friction_asymmetry": [
-            {**one, "coulomb_friction": dry + gain * abs(half), "friction_asymmetry": lean + gain * half}
-        ],
-    }
-
-
 def grids(
     cases: Sequence[Case], structure: Structure, values: Mapping[str, float]
 ) -> dict[str, list[dict[str, float]]]:
@@ -171,8 +150,6 @@ def grids(
             for share in (0.15, 0.3, 0.45)
             for gap in (0.015 * lever, 0.04 * lever)
         ]
-    for effect, rows in traded(structure, values).items():
-        out[effect] += rows
     for effect in _PHASED:
         out[effect] += [_followed(missing, effect, row) for row in out[effect]]
     return out

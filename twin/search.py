@@ -268,7 +268,6 @@ def _wider(
         longer, size = last.structure.with_(other), last.values[own.gain]
         mine, known = ready.with_steps(cases, longer), ready.completed(longer, last.values) | dict(held)
         starts = [known | {more.gain: s * size} for s in (1.0, -1.0) if more.gain not in held]
-        starts += [known | row | dict(held) for row in screening.traded(last.structure, last.values).get(other, [])]
         allowed = filter(likelihood.within_bounds, starts)
         fits = [likelihood.climb(mine, longer, v, last.density, last.free) for v in allowed]
         for h in _overtook(rounds, effect, other):

@@ -15,6 +15,7 @@ import sympy
 from sympy.printing.str import StrPrinter
 
 from twin.axis import KNOWN
+from twin.effects.catalogue import EFFECTS
 from twin.equations import trace
 from twin.model import Model
 from twin.variables import known_read
@@ -209,8 +210,8 @@ def _documentation(model: Model) -> str:
     """HTML from the pages of the effects: what each is, its law as it stands in the equations, its source."""
     parts = ["<p>A motor-driven axis. Accelerations and inertias are relative to the inertia of the axis.</p>", "<ul>"]
     for e in model.structure.effects:
-        acting = model.structure.acting(e)
-        values = {p.name: f"{model.values[p.name]:.4g} {model.unit(p.name)}" for p in acting}
+        acting = [p for i in (e.id, *e.includes) for p in model.structure.acting(EFFECTS[i])]
+        values = {p.name: f"{model.values[p.name]:.4g} {model.unit(p.name)}".removesuffix(" 1") for p in acting}
         said = html.escape(e.sentence.format(**values))
         law = f"<br><code>{html.escape(_law(e.id, {}))}</code>" if e.law is not None else ""
         parts.append(f"<li><b>{html.escape(e.title)}</b>: {said}{law}<br><i>{html.escape(e.reference)}</i></li>")
