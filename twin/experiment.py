@@ -654,10 +654,10 @@ def separate(rivals: Sequence[Point], cases: Sequence[Case], limits: Limits | No
     Raises BadInput where the limits or the recordings leave no room for any input.
     """
     limits = limits or Limits()
+    bench = _bench(rivals[:_RIVALS], cases, limits)
     pairs = _pairs(rivals)
     if not pairs:
         return sharpen(rivals[0], cases, limits)
-    bench = _bench(rivals[:_RIVALS], cases, limits)
     shown = [r.structure for r in rivals[:_RIVALS]]
 
     def shortfall(ledger: Ledger) -> float:
