@@ -68,7 +68,7 @@ def _followed(missing: Missing, effect: str, row: Mapping[str, float]) -> dict[s
     """The row, with the size and phase at which the effect's law on link or shaft follows the missing torque best."""
     page = EFFECTS[effect]
     assert page.law is not None and page.screen is not None and page.screen.pair and page.screen.combine
-    read = np.flatnonzero(np.isfinite(missing.torque))
+    read = np.flatnonzero(np.isfinite(missing.torque) & np.isfinite(missing.position))
     at = read[np.linspace(0, len(read) - 1, min(_FOLLOWED, len(read))).astype(np.intp)]
     name, *phases = page.screen.pair
     places = [SimpleNamespace(position=x, time=t) for x, t in zip(missing.position[at], missing.time[at], strict=True)]
