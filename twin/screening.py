@@ -30,6 +30,11 @@ _TURN = 2.0 * math.pi
 _LINES, _APART, _FINE = 3, 0.15, 4.0
 
 
+def _clipped(torque: FloatArray) -> FloatArray:
+    """The torque (N,) without its largest hundredths, which impacts make."""
+    return np.asarray(np.clip(torque, *np.quantile(torque, [0.01, 0.99])))
+
+
 def _lines(phase: FloatArray, torque: FloatArray, circle: float, lowest: float, highest: float) -> list[float]:
     """The rates (per unit of phase) between two at which the torque (N,) is most periodic, the strongest first.
 
@@ -40,7 +45,7 @@ def _lines(phase: FloatArray, torque: FloatArray, circle: float, lowest: float, 
     last = max(int(highest / rate), 1)
     first = min(math.ceil(lowest / rate), last)
     place = (phase % circle * (8 * last / circle)).astype(np.intp) % (8 * last)
-    clipped = np.clip(torque, *np.quantile(torque, [0.01, 0.99]))
+    clipped = _clipped(torque)
     around = np.bincount(place, clipped - clipped.mean(), 8 * last)
     power = np.abs(np.fft.rfft(around)[first : last + 1])
     beside = np.pad(power, 1, constant_values=-1.0)
@@ -74,9 +79,8 @@ def _followed(missing: Missing, effect: str, row: Mapping[str, float]) -> dict[s
     places = [SimpleNamespace(position=x, time=t) for x, t in zip(missing.position[at], missing.time[at], strict=True)]
     sizes = [SimpleNamespace(**{**row, page.screen.gain: 1.0, name: phase}) for phase in phases]
     laws = [[page.law(q, p) for q in places] for p in sizes]
-    torque = missing.torque[at]
-    clipped = np.clip(torque, *np.quantile(torque, [0.01, 0.99]))
-    _, one, other = np.linalg.lstsq(np.array([np.ones(len(at)), *laws]).T, clipped, rcond=None)[0].tolist()
+    columns = np.array([np.ones(len(at)), *laws]).T
+    _, one, other = np.linalg.lstsq(columns, _clipped(missing.torque[at]), rcond=None)[0].tolist()
     gain, phase = page.screen.combine(one, other)
     return {**row, page.screen.gain: gain, name: phase}
 
@@ -203,10 +207,9 @@ _CLOSELY, _STEPS, _MORE = 3, 2, 3
 class Start:
     """Where a candidate would like to begin, and the gain in deviance that the score test promises."""
 
-    values: dict[str, float]  # of the whole model, the candidate doing nothing where it has a neutral value
+    values: dict[str, float]  # of the whole model
     steps: dict[str, float]  # from there, to where the candidate would like to be and what follows it
     promise: float
-    neutral: bool = True  # whether the candidate does nothing there
 
     def at(self, share: float) -> dict[str, float]:
         """The values after a share of the steps."""
@@ -240,7 +243,7 @@ def _score(base: Point, point: Point, news: Sequence[str]) -> tuple[FloatArray, 
 def _nested_starts(
     cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]]
 ) -> list[Start]:
-    """Starts of a candidate with a neutral value, from the exact sensitivities at that value."""
+    """Starts of a candidate that has a neutral value, from the exact sensitivities there, or at the size of a trial."""
     screen = EFFECTS[effect].screen
     assert screen is not None
     structure = extended(base.structure, effect)
@@ -278,7 +281,7 @@ def _nested_starts(
             n = len(base.free)
             gain, values[name] = screen.combine(float(step[n]), float(step[n + 1]))
             found = dict(zip(free, [*step[:n].tolist(), gain, *step[n + 2 :].tolist()], strict=True))
-        starts.append(Start(values, found, promise, screen.gain not in trial))
+        starts.append(Start(values, found, promise))
     return starts
 
 
@@ -298,8 +301,8 @@ def _promised(point: Point) -> float:
 
 def _direct_start(
     cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]], free: tuple[str, ...]
-) -> Start:
-    """The best start of a candidate that is tried as it is; what the rest of the model would regain is promised too."""
+) -> tuple[float, dict[str, float]]:
+    """What a candidate that is tried as it is promises at best, the rest of the model's regain too, and where."""
     structure = extended(base.structure, effect)
     unmoved = {k: v for k, v in neutral(effect).items() if k not in base.values}
     places = [ready.completed(structure, {**base.values, **unmoved, **_inside(t)}) for t in trials]
@@ -309,7 +312,7 @@ def _direct_start(
     near = places[:_CLOSELY]
     points = [likelihood.climb(cases, structure, v, base.density, free, rounds=_STEPS, tolerance=1.0) for v in near]
     found = likelihood.climb_on(cases, min(points, key=lambda p: p.deviance), rounds=_MORE, tolerance=1.0)
-    return Start(found.values, {}, base.deviance - found.deviance + _promised(found))
+    return base.deviance - found.deviance + _promised(found), found.values
 
 
 @dataclass(frozen=True)
@@ -341,20 +344,20 @@ def enter(cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapp
     free = tuple(n for n in ready.free_parameters(structure) if n not in held)
     trials = [{n: v for n, v in row.items() if n not in held} for row in trials]
     if effect in _DIRECT:
-        best = _direct_start(mine, base, effect, trials, free)
-        return Entry(effect, structure, free, best.values, best.promise)
+        promise, values = _direct_start(mine, base, effect, trials, free)
+        return Entry(effect, structure, free, values, promise)
+    screen = EFFECTS[effect].screen
+    assert screen is not None
+    begun = []
     # From elsewhere is where no step from nothing leads: it must be worth more than the largest of many such looks.
-    starts, begun = _nested_starts(mine, base, effect, trials), []
-    for kind in ([s for s in starts if s.neutral], [s for s in starts if not s.neutral]):
+    for kind in ([t for t in trials if screen.gain not in t], [t for t in trials if screen.gain in t]):
         if kind:
-            best = max(kind, key=lambda s: s.promise)
+            best = max(_nested_starts(mine, base, effect, kind), key=lambda s: s.promise)
             places = [likelihood.evaluate(mine, structure, best.at(share), base.density) for share in _SHARES]
             begun.append((best.promise, min(places, key=lambda p: p.deviance).values))
     promise, values = begun[0]
     if len(begun) > 1:
-        nothing, elsewhere = (
-            likelihood.climb(mine, structure, v, base.density, free, _STEPS, 1.0) for _, v in begun
-        )
+        nothing, elsewhere = (likelihood.climb(mine, structure, v, base.density, free, _STEPS, 1.0) for _, v in begun)
         promise, values = max(promise, base.deviance - nothing.deviance), nothing.values
         if nothing.deviance - elsewhere.deviance > compare.LEAST * compare.worth([nothing, elsewhere]):
             promise, values = max(promise, base.deviance - elsewhere.deviance), elsewhere.values
