@@ -57,6 +57,7 @@ SANE: dict[str, tuple[float, float]] = {
     "joint_frequency": (4.0, 25.0),
     "joint_damping": (0.05, 0.3),
     "lag_time": (0.004, 0.05),
+    "lag_dead_band": (0.1, 0.9),
     "delay": (0.001, 0.02),
     "load_added": (0.2, 2.0),
     "load_time": (0.3, 0.7),

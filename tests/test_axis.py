@@ -225,6 +225,34 @@ def test_lag_is_exact():
     assert np.allclose(states[:, 1], speed, rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_a_lag_has_the_dead_band_before_or_behind_it(share):
+    """An independent integrator with a dead-band on either side of the lag, which together are the drive's own."""
+    structure = Structure.of(("inertia", "viscous_friction", "dead_band", "motor_lag"))
+    values = PLAIN | {"lag_time": 0.03, "lag_dead_band": share}
+    forward, reverse = PLAIN["dead_band_forward"], PLAIN["dead_band_reverse"]
+
+    def passed(u, of):
+        return max(u - of * forward, 0.0) + min(u + of * reverse, 0.0)
+
+    # What the first dead-band does not hold back of what lies within it, the second one takes.
+    def through(u):
+        return passed(u, 1.0) + share * min(max(u, -reverse), forward)
+
+    time = clock(2.0)
+    command = np.repeat([40.0, -25.0, 3.0, 12.0, 0.0, -7.0, 20.0, 5.0], 126)[: len(time)]
+    y, read = [0.0, 0.0, 0.0], [0.0]
+    for u in command[:-1]:
+        def motion(t, y, u=u):
+            drive = PLAIN["input_gain"] * passed(y[2], share)
+            return [y[1], drive - PLAIN["viscous_friction"] * y[1], (through(u) - y[2]) / 0.03]
+
+        y = solve_ivp(motion, (0.0, 0.002), y, rtol=1e-9, atol=1e-11, max_step=2e-4).y[:, -1]
+        read.append(y[0])
+    position, _ = run(structure, values, time, command)
+    assert np.abs(position - read).max() < COUNT / 50
+
+
 def test_delay_shifts_the_command_by_any_time():
     rng = np.random.default_rng(3)
     structure = Structure.of(BASE)

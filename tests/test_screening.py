@@ -166,6 +166,29 @@ def test_a_strong_ripple_promises_more_where_it_follows_what_is_missing(seed) ->
     assert followed.promise > 1.2 * nothing.promise > 0.0
 
 
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_a_lag_is_looked_for_ahead_of_the_dead_band_and_behind_it(share) -> None:
+    """A filter of the command crosses the dead-band late, one of the torque does not: no climb leads between them."""
+    structure = ready.base_structure()
+    values = {
+        "input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 8.0, "dead_band_reverse": 9.0,
+        "backlash_gap": 0.03, "motor_share": 0.3, "friction_share": 0.6, "tooth_frequency": 90.0, "tooth_damping": 0.4,
+    }  # fmt: skip
+    rng = np.random.default_rng(5)
+    time, count = 0.002 * np.arange(7500), 2.0 * np.pi / 16384.0
+    duty = steps(rng, len(time), 150, 45.0)
+    lag = {"lag_time": 0.05, "lag_dead_band": share}
+    shaken = duty + 0.1 * rng.standard_normal(len(time))
+    y, _ = run(ready.with_teeth(structure).with_("motor_lag"), values | lag, time, shaken)
+    made = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
+    cases, rough = ascent.start([made], structure, {})
+    before = valleys.settle(cases, structure, rough[0].values, {}, likelihood.density_of(cases[0], 0.1))
+    entry = screening.enter(cases, before, "motor_lag", screening.grids(cases, structure, before.values)["motor_lag"])
+    found = valleys.settle(cases, entry.structure, entry.values, {}, before.density)
+    assert found.values["lag_dead_band"] == share
+    assert found.values["lag_time"] == pytest.approx(0.05, rel=0.03)
+
+
 def test_a_candidate_moves_nothing_that_is_held() -> None:
     structure = ready.base_structure()
     values = {

@@ -35,7 +35,7 @@ STATES: dict[str, tuple[str, str]] = {
     "velocity": ("{x}/s", "velocity of the link"),
     "gap": ("{x}", "motor position minus link position"),
     "motor_velocity": ("{x}/s", "velocity of the motor, seen at the link"),
-    "lag": ("{u}", "command that acts behind the lag"),
+    "lag": ("{u}", "command behind the lag"),
     "heat": ("1", "warming of the motor"),
     "time": ("s", "time since the start"),
 }
@@ -71,7 +71,7 @@ class Structure:
 
     def acting(self, effect: Effect) -> tuple[Parameter, ...]:
         """The effect's parameters that have something to act on here."""
-        return tuple(p for p in effect.parameters if not p.slot or p.slot in self.slots)
+        return tuple(p for p in effect.parameters if not p.acts_on or p.acts_on in {*self.ids, *self.slots})
 
     @property
     def slots(self) -> frozenset[str]:
@@ -203,6 +203,34 @@ def sinc_of_root(square):
     """sin(sqrt(square)) / sqrt(square), likewise."""
     return 1.0 + square * (-1.0 / 6.0 + square * (1.0 / 120.0 + square * (-1.0 / 5040.0 + square * (1.0 / 362880.0
         + square * (-1.0 / 39916800.0 + square * (1.0 / 6227020800.0 - square / 1307674368000.0))))))  # fmt: skip
+
+
+def clipped(value, upper, lower):
+    """The value, held between -lower and upper."""
+    result = value
+    if value > upper:
+        result = upper
+    elif value < -lower:
+        result = -lower
+    return result
+
+
+def beyond(value, upper, lower):
+    """By how much the value is beyond -lower or upper."""
+    kept = clipped(value, upper, lower)
+    return value - kept
+
+
+def mean_beyond(before, after, mean, upper, lower):
+    """Mean of what is beyond -lower or upper of a value on its way; where it crosses one of them, as on a line."""
+    first = beyond(before, upper, lower)
+    last = beyond(after, upper, lower)
+    result = beyond(mean, upper, lower)
+    # It keeps to one side where nothing is lost on the way that is not lost at both ends.
+    if (first - last) * (first - last) < 0.999999 * (before - after) * (before - after):
+        if first != 0.0 or last != 0.0:
+            result = 0.5 * (last * last - first * first) / (after - before)
+    return result
 
 
 def halved(length, rate, most):
@@ -361,6 +389,7 @@ def piece(x, p, k, command, h):
     gain_l = 0.0
     gain_m = 0.0
     acting = 0.0
+    fed = 0.0
     decay = 0.0
     together = 0
     hook = 1.0
@@ -419,13 +448,22 @@ def piece(x, p, k, command, h):
                 acting = drive(command, emf, heat, place + twist, p)
             mean = acting
             if has.motor_lag:
+                fed = acting
+                if has.dead_band:
+                    kept = clipped(command, p.dead_band_forward, p.dead_band_reverse)
+                    fed = fed + p.lag_dead_band * kept
                 # The mean over the first half predicts the middle; the mean over the whole moves the axis.
                 if stage == 0:
                     decay = exp(-middle / p.lag_time)
-                    mean = acting + (x.lag - acting) * (1.0 - decay) * p.lag_time / middle
+                    mean = fed + (x.lag - fed) * (1.0 - decay) * p.lag_time / middle
                 else:
                     decay = decay * decay
-                    mean = acting + (x.lag - acting) * (1.0 - decay) * p.lag_time / h
+                    mean = fed + (x.lag - fed) * (1.0 - decay) * p.lag_time / h
+                if has.dead_band:
+                    lagging = fed + (x.lag - fed) * decay
+                    upper = p.lag_dead_band * p.dead_band_forward
+                    lower = p.lag_dead_band * p.dead_band_reverse
+                    mean = mean_beyond(x.lag, lagging, mean, upper, lower)
             torque = p.input_gain * mean
             pull = 0.0
             if has.load:
@@ -600,7 +638,7 @@ def piece(x, p, k, command, h):
     if has.motor_lag:
         if span < h:
             decay = exp(-span / p.lag_time)
-        x.lag = acting + (x.lag - acting) * decay
+        x.lag = fed + (x.lag - fed) * decay
     if has.thermal_fade:
         x.heat = warm + (x.heat - warm) * exp(-span / p.fade_time)
     x.time = x.time + span
@@ -634,4 +672,7 @@ def step(x, p, k, command, h):
 
 
 #: The stepper's functions, in the order in which they call one another.
-STEPPER = (net, tension, reaching, stopping, faded, cos_of_root, sinc_of_root, halved, piece, step)
+STEPPER = (
+    net, tension, reaching, stopping, faded, cos_of_root, sinc_of_root, clipped, beyond, mean_beyond, halved,
+    piece, step,
+)  # fmt: skip

@@ -12,8 +12,8 @@ class Parameter:
 
     `unit` may hold the placeholders `{x}` (rad or m, the axis) and `{u}` (the unit of the input).
     `neutral` is the value at which the effect is absent, or None where the value then does not matter.
-    `estimated` is False for numbers that describe the law and are not fitted; `slot` names that without whose laws the
-    number has nothing to act on.
+    `estimated` is False for numbers that describe the law and are not fitted; `acts_on` names the effect or slot
+    without which the number has nothing to act on.
     """
 
     name: str
@@ -24,7 +24,7 @@ class Parameter:
     upper: float = math.inf
     start: float = 0.0
     estimated: bool = True
-    slot: str = ""
+    acts_on: str = ""
 
     def unit_for(self, axis: str, drive: str) -> str:
         """The unit on a given rig: `axis` is "rad" or "m", `drive` the unit of the input."""

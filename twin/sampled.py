@@ -292,13 +292,16 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
     torque = total * wish - pull - resist + stiction
     if has.motor_lag:
         # The acceleration that the lag's state gives now, and what it would take to change it in time.
-        current = (p.input_gain * y.lag + pull + resist - stiction) / total
+        acting = y.lag
+        if has.dead_band:
+            acting = beyond(y.lag, p.lag_dead_band * p.dead_band_forward, p.lag_dead_band * p.dead_band_reverse)
+        current = (p.input_gain * acting + pull + resist - stiction) / total
         jump = wish + g.acceleration_gain * (rise - current) - current + p.lag_time * jerk
         moved = 0.25 * g.sample_time
         place = y.position + moved * y.velocity
         reached = y.velocity + moved * current
         later = turning(place, y, p) + pulling(place, reached, y, k, p) + drag(place, reached, p)
-        torque = p.input_gain * y.lag + total * jump - p.lag_time * (later - pull - resist) / moved
+        torque = p.input_gain * acting + total * jump - p.lag_time * (later - pull - resist) / moved
     command = clip(invert(torque / p.input_gain, emf, y.heat, y.position + y.gap, p, g), g.limit)
 
     for j in range(len(q) - 1):

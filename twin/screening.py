@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
@@ -123,7 +124,10 @@ def grids(
     out["supply_sag"] = [{**row, "sag_reference": span} for row in out["supply_sag"]]
     out["load_change"] = [{"load_time": f * end} for f in np.linspace(0.1, 0.9, 9)]
     out["drive_saturation"] = [{"saturation_limit": f * span} for f in (0.4, 0.55, 0.7, 0.85, 0.95)]
-    out["motor_lag"] = [{"lag_time": t} for t in (0.003, 0.01, 0.03)]
+    # Behind the dead-band or ahead of it; what lies between is no choice of a recording.
+    out["motor_lag"] = [
+        {"lag_time": t, "lag_dead_band": share} for t in (0.003, 0.01, 0.03) for share in (0.0, 1.0)
+    ]
     out["input_delay"] = [{"delay": t} for t in (0.002, 0.006, 0.015)]
     stops = []
     for high, low in ((1, 0), (0, 1), (1, 1)):
@@ -307,9 +311,12 @@ def _direct_start(
     unmoved = {k: v for k, v in neutral(effect).items() if k not in base.values}
     places = [ready.completed(structure, {**base.values, **unmoved, **_inside(t)}) for t in trials]
     # A valley may be narrow, and its walls are what a place beside it shows: the likeliest walk a little before they
-    # are judged.
+    # are judged, of every choice that no walk changes.
     places.sort(key=lambda v: likelihood.evaluate(cases, structure, v, base.density).deviance)
-    near = places[:_CLOSELY]
+    choices: dict[tuple[float, ...], list[dict[str, float]]] = defaultdict(list)
+    for place in places:
+        choices[tuple(v for n, v in place.items() if n not in free)].append(place)
+    near = [place for alike in choices.values() for place in alike[:_CLOSELY]]
     points = [likelihood.climb(cases, structure, v, base.density, free, rounds=_STEPS, tolerance=1.0) for v in near]
     found = likelihood.climb_on(cases, min(points, key=lambda p: p.deviance), rounds=_MORE, tolerance=1.0)
     return base.deviance - found.deviance + _promised(found), found.values

@@ -19,10 +19,10 @@ EFFECT = Effect(
             "friction_share", "1", "the motor's share of the viscous friction, seen at the link", None, 0.0, 1.0, 0.7
         ),
         Parameter(
-            "dry_share", "1", "the motor's share of the dry friction, seen there", None, 0.0, 1.0, 0.5, slot="grip"
+            "dry_share", "1", "the motor's share of the dry friction, seen there", None, 0.0, 1.0, 0.5, acts_on="grip"
         ),
         Parameter(
-            "shaft_share", "1", "the motor's share of constant torque and ripple", None, 0.0, 1.0, 0.5, slot="shaft"
+            "shaft_share", "1", "the motor's share of constant torque and ripple", None, 0.0, 1.0, 0.5, acts_on="shaft"
         ),
     ),
     law=None,

@@ -12,6 +12,10 @@ EFFECT = Effect(
     slot="structure",
     parameters=(
         Parameter("lag_time", "s", "time constant between command and torque", None, 1e-5, 2.0, 0.01),
+        Parameter(
+            "lag_dead_band", "1", "share of the dead-band that lies behind the lag", None, 0.0, 1.0, estimated=False,
+            acts_on="dead_band",
+        ),
     ),
     law=None,
     depends_on=("input", "time"),
@@ -22,7 +26,9 @@ EFFECT = Effect(
         "input_delay": "steps: a lag starts at once with a slope, a delay starts late with a full step",
         "joint_elasticity": "steps: look for ringing after the edge",
     },
-    equation=r"T_e\,\dot u_e = u - u_e",
+    equation=r"T_{e}\,\dot\ell = u + \lambda_{e}\,\max\left(-\delta_{r}, \min\left(\delta_{f}, u_0\right)\right)"
+    r" - \ell,\quad u_{e} = \max\left(\ell - \lambda_{e}\,\delta_{f}, 0\right)"
+    r" + \min\left(\ell + \lambda_{e}\,\delta_{r}, 0\right)",
     substeps=2,
     screen=Screen("lag_time"),
 )

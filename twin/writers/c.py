@@ -108,9 +108,13 @@ def _function(function: ast.FunctionDef) -> str:
 
 def functions(tree: ast.Module, *roots: str) -> str:
     """C text of a module's functions: the named ones and what is called. C99, needs math.h and stddef.h."""
-    found = [f for f in tree.body if isinstance(f, ast.FunctionDef)]
-    called = {n.id for f in found for n in ast.walk(f) if isinstance(n, ast.Name)} | set(roots)
-    return "\n\n".join(_function(f) for f in found if f.name in called) + "\n"
+    found = {f.name: f for f in tree.body if isinstance(f, ast.FunctionDef)}
+    called, left = set(roots), list(roots)
+    while left:
+        more = {n.id for n in ast.walk(found[left.pop()]) if isinstance(n, ast.Name)} & found.keys() - called
+        called |= more
+        left += more
+    return "\n\n".join(_function(f) for f in found.values() if f.name in called) + "\n"
 
 
 def library(structure: Structure) -> str:

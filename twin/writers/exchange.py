@@ -131,8 +131,13 @@ def rates(x, p, k, command):
         x.rate_heat = (((cold - p.fade_emf * emf) / p.fade_reference) ** 2 - x.heat) / p.fade_time
     acting = drive(command, emf, x.heat, x.position + x.gap, p)
     if has.motor_lag:
-        x.rate_lag = (acting - x.lag) / p.lag_time
+        fed = acting
         acting = x.lag
+        if has.dead_band:
+            kept = clipped(command, p.dead_band_forward, p.dead_band_reverse)
+            fed = fed + p.lag_dead_band * kept
+            acting = beyond(x.lag, p.lag_dead_band * p.dead_band_forward, p.lag_dead_band * p.dead_band_reverse)
+        x.rate_lag = (fed - x.lag) / p.lag_time
     torque = p.input_gain * acting
     pull = 0.0
     if has.load:

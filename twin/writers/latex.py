@@ -60,6 +60,7 @@ SYMBOLS: dict[str, str] = {
     "stop_upper": "@_{+}",
     "stop_lower": "@_{-}",
     "lag_time": "T_{e}",
+    "lag_dead_band": r"\lambda_{e}",
     "delay": "t_{d}",
     "load_added": r"\Delta J",
     "load_time": "t_{J}",

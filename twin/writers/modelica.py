@@ -121,6 +121,7 @@ def _drive(model: Model, x: str, u: str) -> tuple[list[str], list[str], str]:
         speed = "motor_velocity" if has("backlash") else "velocity"
         declared.append(_declare("Real", "emf", u, "back-EMF, as command"))
         equations.append(f"emf = viscous_friction*{speed}/input_gain;")
+    arriving = acting
     for effect in laws_by_slot(model.structure)["drive"]:
         if effect == "thermal_fade":
             declared.append(_declare("Real", "heat", "1", "warming of the motor", more=_RESTING))
@@ -131,8 +132,14 @@ def _drive(model: Model, x: str, u: str) -> tuple[list[str], list[str], str]:
         acting = name
     if has("motor_lag"):
         declared.append(_declare("Real", "lag", u, "command behind the lag", more=_RESTING))
-        equations.append(f"der(lag) = ({acting} - lag)/lag_time;")
-        acting = "lag"
+        kept, passed = "", "lag"
+        if has("dead_band"):
+            kept = f" + lag_dead_band*min(max({arriving}, -dead_band_reverse), dead_band_forward)"
+            passed = "max(lag - lag_dead_band*dead_band_forward, 0) + min(lag + lag_dead_band*dead_band_reverse, 0)"
+        equations.append(f"der(lag) = ({acting}{kept} - lag)/lag_time;")
+        declared.append(_declare("Real", "behind_lag", u, "command that acts behind the lag"))
+        equations.append(f"behind_lag = {passed};")
+        acting = "behind_lag"
     declared.append(_declare("Real", "torque", f"{x}/s^2", "torque of the drive over inertia"))
     equations.append(f"torque = input_gain*{acting};")
     return declared, equations, acting
