@@ -308,6 +308,22 @@ def test_what_a_law_misses_of_its_own_effect_is_no_other_effect() -> None:
         assert search._fair(scant, [less, begun], begun) is less
 
 
+def test_a_larger_model_is_never_behind_the_smaller_one_that_it_contains(monkeypatch) -> None:
+    """Where what is added does harm to the other filter, it is looked for from nothing, too."""
+    base, nothing = Structure.of(BASE), np.eye(0)
+    before = likelihood.Point(base, {"input_gain": 0.3}, 1.0, (), 0.0, 1.0, nothing, [], nothing)
+    after = replace(before, structure=base.with_("gravity"), values={"input_gain": 0.4, "gravity_gain": 2.0})
+
+    def climbed(cases, structure, values, density, free, rounds, tolerance):
+        deviance = 100.0 * abs(values["input_gain"] - 0.3) + values.get("gravity_gain", 0.0)
+        return replace(before, structure=structure, values=values, deviance=deviance)
+
+    monkeypatch.setattr(likelihood, "climb", climbed)
+    smaller, larger = explain._adapted((), before, after, 1.0)
+    assert larger.structure == after.structure
+    assert larger.deviance == smaller.deviance == 0.0
+
+
 def test_a_rival_stands_where_another_does_with_its_own_effect(monkeypatch) -> None:
     """What both share is taken over; what each has alone is its own, and nothing of the other's comes along."""
     base, nothing = Structure.of(BASE), np.eye(0)

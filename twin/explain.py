@@ -140,8 +140,10 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
 def _adapted(cases: Sequence[Case], before: Point, after: Point, density: float) -> tuple[Point, Point]:
     """Both models at another noise density, each from its own place and the other's: valleys are others there, and the
     one that the larger model happens to be in says nothing about its effect. Where the smaller one can be the larger
-    can be, too.
+    can be, too, with what it adds as it was or as nothing.
     """
+    added = (i for i in after.structure.ids if i not in before.structure)
+    nothing = {n: v for i in added for n, v in screening.neutral(i).items()}
 
     def adapted(point: Point, values: Mapping[str, float]) -> Point:
         mine = ready.with_steps(cases, point.structure)
@@ -151,8 +153,10 @@ def _adapted(cases: Sequence[Case], before: Point, after: Point, density: float)
     with ThreadPoolExecutor(2) as pool:
         one, other = pool.map(lambda p: adapted(p, p.values), (before, after))
         learned = list(pool.map(adapted, (before, after), (other.values, one.values)))
-    smaller, larger = (min(pair, key=lambda p: p.deviance) for pair in zip((one, other), learned, strict=True))
-    return smaller, min(larger, adapted(after, smaller.values), key=lambda p: p.deviance)
+        smaller, larger = (min(pair, key=lambda p: p.deviance) for pair in zip((one, other), learned, strict=True))
+        places = (smaller.values, {**nothing, **smaller.values})
+        nested = list(pool.map(lambda values: adapted(after, values), places))
+    return smaller, min(larger, *nested, key=lambda p: p.deviance)
 
 
 def _finish(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float], density: float) -> Hypothesis:
