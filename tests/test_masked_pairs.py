@@ -25,7 +25,7 @@ from twin.axis import BASE, Structure
 from twin.finding import Diagnosis
 from twin.recording import Recording
 
-SEED, SECONDS, SIZE = 3, 15.0, 0.15
+SEED, SECONDS, SIZE = 3, 20.0, 0.15
 MASKS = (
     ("dead_band", "coulomb_friction"),
     ("motor_lag", "input_delay", "joint_elasticity"),
