@@ -41,6 +41,7 @@ VALUES = {
     "stop_lower": -6.0,
     "joint_frequency": 12.0,
     "lag_time": 0.01,
+    "lag_dead_band": 0.5,
     "delay": 2.0**-8,
     "load_added": 0.4,
     "load_time": 9.0,
