@@ -116,5 +116,8 @@ def test_laws_of_the_drive_hand_on_their_command():
     drive = [t for t in text if t.startswith(("u_{1}", "u_{2}", "v"))]
     assert [t.split(" = ")[0] for t in drive] == ["u_{1}", "u_{2}", "v"]
     assert "u(t - t_d)" in drive[0] and "u_{1}" in drive[1].split(" = ")[1] and "u_{2}" in drive[2].split(" = ")[1]
-    assert any(t.startswith(r"T_{e}\,\dot\ell = v + ") for t in text)
+    kept = r"\lambda_{e}\,\max\left(-\delta_{r}, \min\left(\delta_{f}, u_0\right)\right)"
+    assert rf"T_{{e}}\,\dot\ell = v + {kept} - \ell" in text
+    forward, reverse = r"\ell - \lambda_{e}\,\delta_{f}", r"\ell + \lambda_{e}\,\delta_{r}"
+    assert rf"u_{{e}} = \max\left({forward}, 0\right) + \min\left({reverse}, 0\right)" in text
     assert text[0].startswith(r"\ddot{\theta} = c\,u_{e}")

@@ -32,6 +32,13 @@ def noisy(wave) -> np.ndarray:
     return wave + 3.0 * np.random.default_rng(1).standard_normal(len(wave))
 
 
+def recorded(structure: Structure, values, time, duty, shaken, per_turn: float) -> Recording:
+    """What an encoder reads of a run under the command as it was shaken, beside the command as it was meant."""
+    y, _ = run(structure, values, time, shaken)
+    count = 2.0 * np.pi / per_turn
+    return Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
+
+
 @settings(max_examples=30, deadline=None)
 @given(end=st.floats(10.0, 120.0), frequency=st.floats(0.5, 24.0), phase=st.floats(0.0, 6.0))
 def test_a_disturbance_is_looked_for_at_its_own_frequency_however_long_the_recording(end, frequency, phase) -> None:
@@ -81,11 +88,10 @@ def test_a_torque_is_looked_for_on_the_motor_and_on_the_link(effect, law, share)
         "backlash_gap": 0.06, "motor_share": 0.3, "friction_share": 0.6, "tooth_frequency": 90.0, "tooth_damping": 0.4,
     }  # fmt: skip
     rng = np.random.default_rng(9)
-    time, count = 0.002 * np.arange(5000), 2.0 * np.pi / 16384.0
+    time = 0.002 * np.arange(5000)
     duty = steps(rng, len(time), 150, 40.0)
-    longer = structure.with_(effect)
-    y, _ = run(longer, values | law | {"shaft_share": share}, time, duty + 0.1 * rng.standard_normal(len(time)))
-    made = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
+    shaken = duty + 0.1 * rng.standard_normal(len(time))
+    made = recorded(structure.with_(effect), values | law | {"shaft_share": share}, time, duty, shaken, 16384.0)
     cases = ready.prepare([made], structure)
     before = valleys.settle(cases, structure, values, {}, likelihood.density_of(cases[0], 0.05))
     entry = screening.enter(cases, before, effect, screening.grids(cases, structure, before.values)[effect])
@@ -149,12 +155,13 @@ def test_a_strong_ripple_promises_more_where_it_follows_what_is_missing(seed) ->
     }  # fmt: skip
     ripple = {"ripple_torque": 26.0, "ripple_order": 19.0, "ripple_phase": 0.6, "shaft_share": 0.3}
     rng = np.random.default_rng(seed)
-    time, count = 0.002 * np.arange(10000), 2.0 * np.pi / 4096.0
+    time = 0.002 * np.arange(10000)
     rates, phases = 2.0 * np.pi * np.array([0.13, 0.41, 1.1]), rng.uniform(0.0, 6.0, 3)
     duty = 30.0 * np.sin(np.outer(time, rates) + phases).sum(axis=1)
     shaken = duty + 0.3 * rng.standard_normal(len(time))
-    y, _ = run(ready.with_teeth(structure).with_("torque_ripple"), values | ripple, time, shaken)
-    made = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
+    made = recorded(
+        ready.with_teeth(structure).with_("torque_ripple"), values | ripple, time, duty, shaken, 4096.0
+    )
     cases, rough = ascent.start([made], structure, {})
     before = valleys.settle(cases, structure, values | rough[0].values, {}, likelihood.density_of(cases[0], 0.1))
     trials = screening.grids(cases, before.structure, before.values)["torque_ripple"]
@@ -175,12 +182,11 @@ def test_a_lag_is_looked_for_ahead_of_the_dead_band_and_behind_it(share) -> None
         "backlash_gap": 0.03, "motor_share": 0.3, "friction_share": 0.6, "tooth_frequency": 90.0, "tooth_damping": 0.4,
     }  # fmt: skip
     rng = np.random.default_rng(5)
-    time, count = 0.002 * np.arange(7500), 2.0 * np.pi / 16384.0
+    time = 0.002 * np.arange(7500)
     duty = steps(rng, len(time), 150, 45.0)
     lag = {"lag_time": 0.05, "lag_dead_band": share}
     shaken = duty + 0.1 * rng.standard_normal(len(time))
-    y, _ = run(ready.with_teeth(structure).with_("motor_lag"), values | lag, time, shaken)
-    made = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
+    made = recorded(ready.with_teeth(structure).with_("motor_lag"), values | lag, time, duty, shaken, 16384.0)
     cases, rough = ascent.start([made], structure, {})
     before = valleys.settle(cases, structure, rough[0].values, {}, likelihood.density_of(cases[0], 0.1))
     entry = screening.enter(cases, before, "motor_lag", screening.grids(cases, structure, before.values)["motor_lag"])

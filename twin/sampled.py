@@ -106,12 +106,7 @@ def invert(target, emf, heat, place, p, g):
 
 def clip(value, bound):
     """The value, held within the bound either way."""
-    result = value
-    if result > bound:
-        result = bound
-    elif result < -bound:
-        result = -bound
-    return result
+    return clipped(value, bound, bound)
 
 
 def friction(place, speed, heading, through, share, p):
