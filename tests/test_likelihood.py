@@ -77,6 +77,41 @@ def test_errors_that_hang_together_widen_the_standard_errors(correlated: float, 
     assert least <= float(np.median(wider)) < most
 
 
+def test_a_place_is_remembered_by_all_that_its_likelihood_comes_from() -> None:
+    case = made(duration=6.0)
+    half = np.arange(len(case.drive.time)) % 2 == 0
+    louder = replace(case.drive, command=1.01 * case.drive.command)
+    others = [
+        case,
+        replace(case, contact=1.0),
+        replace(case, start=(0.1, 0.0)),
+        replace(case, reading_variance=2.0 * case.reading_variance),
+        replace(case, unforeseen=half),
+        replace(case, free=half),
+        replace(case, free=~half),
+        replace(case, drive=louder),
+        replace(case, drive=replace(case.drive, longest=0.001)),
+        replace(case, drive=replace(case.drive, measured=np.where(half, np.nan, case.drive.measured))),
+    ]
+    assert len({c.mark for c in others}) == len(others)
+    assert replace(case, drive=replace(case.drive)).mark == case.mark
+    first = likelihood.evaluate([case], STRUCTURE, VALUES, 1e6, FREE)
+    for cases, values, density, free in (
+        ([others[4]], VALUES, 1e6, FREE),
+        ([case, case], VALUES, 1e6, FREE),
+        ([case], {**VALUES, "backlash_gap": 0.02}, 1e6, FREE),
+        ([case], VALUES, 2e6, FREE),
+        ([case], VALUES, 1e6, FREE[:3]),
+    ):
+        found = likelihood.evaluate(cases, STRUCTURE, values, density, free)
+        results = [likelihood.innovations(c, STRUCTURE, values, density, free) for c in cases]
+        fresh = likelihood.weighed(cases, STRUCTURE, values, density, free, results)
+        assert found.deviance == fresh.deviance != first.deviance or free != FREE
+        assert np.array_equal(found.normal, fresh.normal) and np.array_equal(found.gradient, fresh.gradient)
+    again = likelihood.evaluate([replace(case)], STRUCTURE, dict(reversed(VALUES.items())), 1e6, FREE)
+    assert again is first
+
+
 def test_what_stretches_say_is_the_sum_of_what_their_readings_say() -> None:
     case = made(duration=5.0)
     case.drive.measured[[300, 2200]] += 30.0 * COUNT

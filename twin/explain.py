@@ -76,9 +76,10 @@ def contest(cases: Sequence[Case], base: Point, candidates: Sequence[str]) -> li
     mine = ready.with_steps(cases, base.structure)
     trials = screening.grids(mine, base.structure, base.values)
     with ThreadPoolExecutor(2) as pool:
-        entries = sorted(
-            pool.map(lambda e: screening.enter(mine, base, e, trials[e]), candidates), key=lambda e: -e.promise
-        )
+        # What takes longest comes first, so that both threads end at about the same time.
+        longest = sorted(candidates, key=lambda e: -len(trials[e]))
+        entered = pool.map(lambda e: screening.enter(mine, base, e, trials[e]), longest)
+        entries = sorted(entered, key=lambda e: -e.promise)
         fits = list(pool.map(lambda e: _climb(mine, base, e), entries[:SURVIVORS]))
     return sorted(fits, key=lambda h: h.deviance)
 

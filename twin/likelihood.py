@@ -14,8 +14,10 @@ The maximum is found by Gauss-Newton steps on exact derivatives, with damping, b
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import OrderedDict
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -103,6 +105,18 @@ class Case:
         led = None if self.free is None else ~self.free
         masks = [m for m in (self.unforeseen, self.rattling, self.beginning, led) if m is not None]
         return np.asarray(np.any([np.zeros(len(self.drive.time), dtype=bool), *masks], axis=0))
+
+    @cached_property
+    def mark(self) -> bytes:
+        """Digest of all that a prediction takes from the case."""
+        drive, free = self.drive, self.free
+        arrays = (drive.time, drive.command, drive.measured, drive.known, drive.law, self.passed_over, self.rounding)
+        digest = hashlib.blake2b(digest_size=16)
+        for a in arrays if free is None else (*arrays, free):
+            digest.update(a.tobytes())
+        rest = (drive.speed, drive.longest, self.reading_variance, self.contact, self.start, self.spread)
+        digest.update(repr((free is None, rest)).encode())
+        return digest.digest()
 
     @cached_property
     def spread(self) -> float:
@@ -370,48 +384,64 @@ def _moves(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     return any(c.drive.closed or c.drive.command.max() >= forward or -c.drive.command.min() >= reverse for c in cases)
 
 
+#: Points that were looked at last, by all that they come from: a search gets to the same place by several ways.
+_RECENT: OrderedDict[Hashable, Point] = OrderedDict()
+_REMEMBERED = 4000
+
+
 @_unheeded()
 def evaluate(
-    cases: Sequence[Case],
-    structure: Structure,
-    values: Mapping[str, float],
-    density: float,
-    free: tuple[str, ...] = (),
-    run: Callable[..., list[Innovations]] | None = None,
-    stretch: float = STRETCH,
-) -> Point:
+    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], density: float,
+    free: tuple[str, ...] = (), stretch: float = STRETCH,
+) -> Point:  # fmt: skip
     """Deviance, gradient and information at these values; errors further apart than `stretch` (s), or less where
     little is judged, are independent.
     """
+    key = (tuple(c.mark for c in cases), structure, tuple(sorted(values.items())), density, free, stretch)
+    found = _RECENT.pop(key, None)
+    if found is None and _moves(cases, values):
+        # Slopes take the memory: of long recordings the errors come first, then the slopes piece by piece.
+        seen = () if sum(len(c.drive.time) for c in cases) > AT_ONCE else free
+        results = [innovations(c, structure, values, density, seen) for c in cases]
+        found = weighed(cases, structure, values, density, free, results, stretch)
+    _RECENT[key] = found = found or _lost(structure, values, density, free)
+    if len(_RECENT) > _REMEMBERED:
+        _RECENT.popitem(last=False)
+    return found
+
+
+def _lost(structure: Structure, values: Mapping[str, float], density: float, free: tuple[str, ...]) -> Point:
+    """Where the model cannot run."""
     n = len(free)
-    lost = Point(structure, dict(values), density, free, math.inf, math.inf, np.eye(n), np.zeros(n), np.eye(n))
-    if not _moves(cases, values):
-        return lost
-    # Slopes take the memory: of long recordings the errors come first, then the slopes piece by piece.
-    long = run is None and sum(len(c.drive.time) for c in cases) > AT_ONCE
-    seen = () if long else free
-    results = [innovations(c, structure, values, density, seen) for c in cases] if run is None else run()
-    compiled = kernel.compiled()
+    return Point(structure, dict(values), density, free, math.inf, math.inf, np.eye(n), np.zeros(n), np.eye(n))
+
+
+@_unheeded()
+def weighed(
+    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], density: float, free: tuple[str, ...],
+    results: Sequence[Innovations], stretch: float = STRETCH,
+) -> Point:  # fmt: skip
+    """What `evaluate` makes of innovations, which are run once more where their slopes were not kept."""
+    n, compiled = len(free), kernel.compiled()
     squares, logs, count, judged = np.empty(sum(len(r.error) for r in results)), 0.0, 0, 0.0
     for case, r in zip(cases, results, strict=True):
         read, own = compiled.normalising(r.error, r.variance, squares[count:])
         judged += read / len(r.error) * float(case.drive.time[-1])
         logs += own
         count += read
-    if long:
-        results = []
     if count == 0:
-        return lost
+        return _lost(structure, values, density, free)
     scale, loss = compiled.scaling(squares[:count], ROBUST_LIMIT)
     if not math.isfinite(scale):
-        return lost
+        return _lost(structure, values, density, free)
     deviance = loss + logs + count * math.log(scale)
     # A short recording has short stretches: were its scatter not looked at it would speak for whatever is largest.
     stretch = min(stretch, judged / (n + LEFT + 1))
-    pulls, weights = _by_stretch(cases, structure, values, density, free, scale, None if long else results, stretch)
+    kept = results if all(r.slopes.shape[1] == n for r in results) else None
+    pulls, weights = _by_stretch(cases, structure, values, density, free, scale, kept, stretch)
     normal, gradient, scatter = weights.sum(axis=0), pulls.sum(axis=0), pulls.T @ pulls
     if not np.all(np.isfinite(normal)) or not np.all(np.isfinite(gradient)):
-        return lost
+        return _lost(structure, values, density, free)
     # The maximum has used up a stretch for each parameter (MacKinnon and White, J. Econometrics 29, 1985).
     stretches = len(pulls)
     scatter = scatter * (stretches / (stretches - n)) if stretches > n + LEFT else normal

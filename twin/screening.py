@@ -277,9 +277,7 @@ def _nested_starts(
                 replace(a, slopes=np.column_stack([a.slopes, b.slopes[:, column]]))
                 for a, b in zip(one, two, strict=True)
             ]
-            point = likelihood.evaluate(
-                cases, structure, values, base.density, (*free, "second"), run=lambda m=merged: m
-            )
+            point = likelihood.weighed(cases, structure, values, base.density, (*free, "second"), merged)
             step, promise = _score(base, point, (screen.gain, "second", *companions))
             assert screen.combine is not None
             n = len(base.free)
@@ -311,12 +309,13 @@ def _direct_start(
     unmoved = {k: v for k, v in neutral(effect).items() if k not in base.values}
     places = [ready.completed(structure, {**base.values, **unmoved, **_inside(t)}) for t in trials]
     # A valley may be narrow, and its walls are what a place beside it shows: the likeliest walk a little before they
-    # are judged, of every choice that no walk changes.
+    # are judged, and the likeliest of every choice that no walk changes.
     places.sort(key=lambda v: likelihood.evaluate(cases, structure, v, base.density).deviance)
     choices: dict[tuple[float, ...], list[dict[str, float]]] = defaultdict(list)
     for place in places:
         choices[tuple(v for n, v in place.items() if n not in free)].append(place)
-    near = [place for alike in choices.values() for place in alike[:_CLOSELY]]
+    first = [alike[0] for alike in choices.values()]
+    near = [*first, *(place for place in places if place not in first)][: max(_CLOSELY, len(first))]
     points = [likelihood.climb(cases, structure, v, base.density, free, rounds=_STEPS, tolerance=1.0) for v in near]
     found = likelihood.climb_on(cases, min(points, key=lambda p: p.deviance), rounds=_MORE, tolerance=1.0)
     return base.deviance - found.deviance + _promised(found), found.values

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from functools import cache
 
 from twin.axis import Structure
 from twin.writers.python import module
@@ -117,6 +118,7 @@ def functions(tree: ast.Module, *roots: str) -> str:
     return "\n\n".join(_function(f) for f in found.values() if f.name in called) + "\n"
 
 
+@cache
 def library(structure: Structure) -> str:
     """C text of a library that moves an axis by `count` internal steps of h: its one function is `advance`."""
     return f"""#include <math.h>

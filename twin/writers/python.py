@@ -13,6 +13,7 @@ import inspect
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import sympy
@@ -169,6 +170,7 @@ def module(structure: Structure, switched: bool = False, numbers: Numbering | No
     return resolve(law_text(laws_by_slot(structure, numbers)) + "\n" + stepper_text(), numbers)
 
 
+@cache
 def write(structure: Structure) -> str:
     """Python text for one structure, standard library only: `step(x, p, k, command, h)` and `sensor`."""
     return "from math import cos, exp, sin, sqrt, tanh\n\n\n" + ast.unparse(module(structure)) + "\n"
