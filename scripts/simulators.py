@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import circuit_rig
+import gearmotor_rig
 import mujoco_rig
 
-SIMULATORS: dict[str, Any] = {"mujoco": mujoco_rig, "circuit": circuit_rig}
+SIMULATORS: dict[str, Any] = {"mujoco": mujoco_rig, "circuit": circuit_rig, "gearmotor": gearmotor_rig}

@@ -1,0 +1,709 @@
+"""A simulator of geared DC drives with concealed effects; it shares nothing with the model in `twin/`.
+
+Winding, bridge, gear train and link in SI units: voltage and back-EMF instead of a gain, teeth that meet in a film of
+grease instead of a spring and a damper, dry friction that holds by complementarity. Every 2 ms (or whenever the
+stamps say) the drive takes a duty and the encoder on the link is read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from concealed import Concealed
+from numba import njit
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+Array = NDArray[np.float64]
+
+STEP = 25e-6  # s, the longest internal one: forty to a period of teeth that ring at 1 kHz
+NOISE_STEP = 1e-3  # s, each value of the noise is held so long
+COPPER = 0.0039  # 1/K, how the winding's resistance rises
+
+VOCABULARY: tuple[str, ...] = (
+    "constant_offset", "coulomb_friction", "drive_saturation", "encoder_eccentricity", "end_stop",
+    "friction_asymmetry", "gravity", "input_delay", "joint_elasticity", "load_change", "load_dependent_friction",
+    "motor_lag", "periodic_disturbance", "position_dependent_friction", "quadratic_drag", "spring",
+    "stribeck_friction", "supply_sag", "thermal_fade", "torque_ripple",
+)  # fmt: skip
+OUTSIDE: tuple[str, ...] = (
+    "other_damaged_tooth",  # the gap is wider at one place of the output wheel
+    "other_detent",  # a magnet pulls towards one place of each turn
+    "other_freewheel",  # the bridge opens within its dead-band, and no back-EMF brakes
+    "other_friction_hump",  # friction in a band of speeds, as where a housing resonates
+    "other_slosh",  # a liquid in the link that its walls drag along
+)
+
+COMMAND_LAG, VOLTAGE_LAG, WINDING_LAG = 1.0, 2.0, 3.0  # where a first-order lag sits
+
+
+class _Plant(NamedTuple):
+    """All that the kernel reads. Torques, angles and inertias are seen at the link; 0 is "not there" for effects."""
+
+    # ---- the rig ----
+    supply: float  # V
+    resistance: float  # ohm
+    winding_time: float  # s
+    constant: float  # N m/A and V s/rad
+    motor_inertia: float
+    link_inertia: float
+    motor_viscous: float  # N m s/rad, without back-EMF
+    link_viscous: float
+    dead_band_forward: float  # %
+    dead_band_reverse: float
+    backlash_gap: float
+    gap_start: float  # of the motor within the gap, -0.5 to 0.5
+    mesh_stiffness: float
+    mesh_damping: float
+    mesh_film: float
+    mesh_variation: float
+    mesh_error: float
+    teeth: float
+    commutation: float
+    commutator_order: float
+    pwm_steps: float
+    # ---- effects ----
+    offset_motor: float = 0.0
+    offset_link: float = 0.0
+    dry_motor: float = 0.0
+    dry_link: float = 0.0
+    asymmetry_motor: float = 0.0
+    asymmetry_link: float = 0.0
+    stribeck_motor: float = 0.0
+    stribeck_link: float = 0.0
+    stribeck_speed: float = 0.0
+    stribeck_exponent: float = 0.0
+    turn_motor: float = 0.0
+    turn_link: float = 0.0
+    turn_phase: float = 0.0
+    turn_second: float = 0.0
+    efficiency_motor: float = 0.0
+    efficiency_link: float = 0.0
+    drag_motor: float = 0.0
+    drag_link: float = 0.0
+    gravity_torque: float = 0.0
+    gravity_angle: float = 0.0
+    spring_rate: float = 0.0
+    spring_angle: float = 0.0
+    ripple_motor: float = 0.0
+    ripple_link: float = 0.0
+    ripple_order: float = 0.0
+    ripple_phase: float = 0.0
+    ripple_second: float = 0.0
+    stop_upper_stiffness: float = 0.0
+    stop_upper_angle: float = 0.0
+    stop_lower_stiffness: float = 0.0
+    stop_lower_angle: float = 0.0
+    stop_loss: float = 0.0
+    joint_compliance: float = 0.0
+    joint_damping: float = 0.0
+    joint_hub: float = 0.0
+    lag_time: float = 0.0
+    lag_place: float = 0.0
+    delay: float = 0.0
+    clip: float = 0.0
+    source_resistance: float = 0.0
+    source_time: float = 0.0
+    heating: float = 0.0
+    cooling: float = 0.0
+    heat_resistance: float = 0.0
+    heat_flux: float = 0.0
+    heat_drive: float = 0.0
+    load_added: float = 0.0
+    load_time: float = 0.0
+    eccentricity: float = 0.0
+    eccentricity_phase: float = 0.0
+    outside_torque: float = 0.0
+    outside_frequency: float = 0.0
+    outside_phase: float = 0.0
+    tooth_gap: float = 0.0
+    tooth_angle: float = 0.0
+    tooth_width: float = 0.0
+    detent_torque: float = 0.0
+    detent_angle: float = 0.0
+    detent_width: float = 0.0
+    bridge_open: float = 0.0
+    hump_torque: float = 0.0
+    hump_speed: float = 0.0
+    hump_width: float = 0.0
+    slosh_inertia: float = 0.0
+    slosh_coupling: float = 0.0
+
+
+# What a first model has as a number: the name here, and how often its value it may at most become.
+_OWN = {
+    "supply": 10.0,
+    "motor_constant": 10.0,
+    "link_viscous": 50.0,
+    "dead_band_forward": 3.0,
+    "dead_band_reverse": 3.0,
+    "backlash_gap": 5.0,
+    "motor_inertia": 10.0,
+}
+
+
+@dataclass(frozen=True)
+class Rig:
+    """One drive: SI units; the motor's own are seen at its shaft, the mesh's at the link."""
+
+    counts_per_revolution: int  # of the link
+    encoder_phase: float  # of a count, where the disc stands at angle zero
+    supply: float  # V
+    resistance: float  # ohm
+    inductance: float  # H
+    motor_constant: float  # N m/A and V s/rad
+    ratio: float  # motor turns per link turn
+    motor_inertia: float  # kg m^2
+    link_inertia: float  # kg m^2
+    motor_viscous: float  # N m s/rad, without back-EMF
+    link_viscous: float  # N m s/rad
+    dead_band_forward: float  # %, what of each pulse the bridge's dead time eats
+    dead_band_reverse: float  # %
+    backlash_gap: float  # rad at the link, whole
+    gap_start: float  # of the gap, from its middle: where the motor stands at the start
+    mesh_stiffness: float  # N m/rad
+    mesh_damping: float  # N m s/rad, once the grease is squeezed out
+    mesh_film: float  # rad, over which that damping builds up
+    mesh_variation: float  # of the stiffness, with the number of teeth in mesh
+    mesh_error: float  # rad, kinematic, once per tooth
+    teeth: float  # of the output wheel
+    commutation: float  # of the torque: ripple from one commutator bar to the next
+    commutator_bars: float
+    pwm_steps: float  # that full duty is made of
+    noise_density: float  # N m/sqrt(Hz) at the link, two-sided: velocity spreads by density^2 t / inertia^2
+    noise_time: float  # s, over which the noise is correlated
+    noise_at_motor: float  # of its power
+
+    @property
+    def inertia(self) -> float:
+        """All of it at the link, kg m^2."""
+        return self.ratio**2 * self.motor_inertia + self.link_inertia
+
+    @property
+    def _motor_damping(self) -> float:
+        """Of the motor with its terminals shorted, at the link, N m s/rad."""
+        return self.ratio**2 * (self.motor_viscous + self.motor_constant**2 / self.resistance)
+
+    @property
+    def _half_torque(self) -> float:
+        """At the link, N m, at 50 % duty with the motor held; the mean of both directions."""
+        lost = 0.5 * (self.dead_band_forward + self.dead_band_reverse)
+        return self.ratio * self.motor_constant * self.supply / self.resistance * (50.0 - lost) / 100.0
+
+    @property
+    def half_torque(self) -> float:
+        """Link acceleration (rad/s^2) that the drive gives at 50 % duty with the motor held."""
+        return self._half_torque / self.inertia
+
+    @property
+    def half_speed(self) -> float:
+        """Steady speed (rad/s) of the link at 50 % duty."""
+        return self._half_torque / (self._motor_damping + self.link_viscous)
+
+    @property
+    def own(self) -> dict[str, tuple[float, float]]:
+        """What a first model has as numbers, each with its largest value; `with_` takes them."""
+        return {name: (getattr(self, name), most * getattr(self, name)) for name, most in _OWN.items()}
+
+    def with_(self, **values: float) -> Rig:
+        """The same rig with other values."""
+        return replace(self, **values)  # type: ignore[arg-type]
+
+    def truths(self) -> dict[str, float]:
+        """All that was drawn with the rig, and what it amounts to in the first model's terms."""
+        return {name: float(value) for name, value in asdict(self).items()} | self.model_values()
+
+    def model_values(self) -> dict[str, float]:
+        """The first model's numbers: rad/s^2 per %, 1/s, %, rad, Hz and ratios."""
+        damping = self._motor_damping + self.link_viscous
+        motor = self.ratio**2 * self.motor_inertia
+        reduced = motor * self.link_inertia / self.inertia
+        mesh = math.sqrt(self.mesh_stiffness / reduced)
+        return {
+            "input_gain": self.ratio * self.motor_constant * self.supply / (100.0 * self.resistance * self.inertia),
+            "viscous_friction": damping / self.inertia,
+            "dead_band_forward": self.dead_band_forward,
+            "dead_band_reverse": self.dead_band_reverse,
+            "backlash_gap": self.backlash_gap,
+            "motor_share": motor / self.inertia,
+            "friction_share": self._motor_damping / damping,
+            "tooth_frequency": mesh / (2.0 * math.pi),
+            "tooth_damping": self.mesh_damping / (2.0 * mesh * reduced),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """One run, all (n,) at the stamps.
+
+    `position` is what the encoder's disc shows before it is counted, so eccentricity is in it; `velocity` is the
+    link's own. Angles in rad, speeds in rad/s, duty in %, current in A.
+    """
+
+    time: Array
+    duty: Array
+    counts: NDArray[np.int64]
+    position: Array
+    velocity: Array
+    motor_position: Array  # at its shaft
+    current: Array
+    counts_per_revolution: int
+
+
+def _log(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def draw_rig(rng: np.random.Generator) -> Rig:
+    """A drive of a population between a small servo and a heavy arm."""
+    rate, speed = 1.0 / _log(rng, 0.15, 2.0), _log(rng, 1.0, 15.0)  # 1/s; rad/s at 60 %
+    forward, reverse = _log(rng, 3.0, 9.0), _log(rng, 3.0, 9.0)
+    at_motor, by_emf = float(rng.uniform(0.4, 0.95)), float(rng.uniform(0.5, 0.95))
+    ratio, emf = _log(rng, 10.0, 200.0), at_motor * by_emf
+    resistance = 0.0
+    while not 0.3 < resistance < 30.0:  # or no such motor is made
+        supply, inertia = _log(rng, 6.0, 48.0), _log(rng, 0.002, 1.0)
+        damping = rate * inertia
+        # The share of the damping that back-EMF makes fixes the motor constant, and the damping then the resistance.
+        constant = emf * supply * (60.0 - 0.5 * (forward + reverse)) / 100.0 / (ratio * speed)
+        resistance = (ratio * constant) ** 2 / (emf * damping)
+    motor = inertia * _log(rng, 0.1, 0.6)
+    mesh, reduced = 2.0 * math.pi * _log(rng, 80.0, 250.0), motor * (inertia - motor) / inertia
+    half_torque = damping * speed * 50.0 / 60.0
+    return Rig(
+        counts_per_revolution=int(rng.choice([4096, 8192, 10000, 16384, 20000, 40000])),
+        encoder_phase=float(rng.uniform()),
+        supply=supply,
+        resistance=resistance,
+        inductance=resistance * _log(rng, 30e-6, 120e-6),
+        motor_constant=constant,
+        ratio=ratio,
+        motor_inertia=motor / ratio**2,
+        link_inertia=inertia - motor,
+        motor_viscous=at_motor * (1.0 - by_emf) * damping / ratio**2,
+        link_viscous=(1.0 - at_motor) * damping,
+        dead_band_forward=forward,
+        dead_band_reverse=reverse,
+        backlash_gap=math.radians(_log(rng, 0.5, 5.0)),
+        gap_start=float(rng.uniform(-0.5, 0.5)),
+        mesh_stiffness=mesh**2 * reduced,
+        mesh_damping=2.0 * float(rng.uniform(0.1, 0.4)) * mesh * reduced,
+        mesh_film=float(rng.uniform(1.0, 5.0)) * half_torque / (mesh**2 * reduced),
+        mesh_variation=float(rng.uniform(0.02, 0.15)),
+        mesh_error=_log(rng, 2e-6, 2e-5),
+        teeth=float(rng.integers(30, 120)),
+        commutation=_log(rng, 5e-4, 4e-3),
+        commutator_bars=float(rng.choice([5, 7, 9, 11, 13])),
+        pwm_steps=float(rng.choice([4000, 4096, 7200, 10000])),
+        noise_density=half_torque * _log(rng, 3e-4, 3e-3),
+        noise_time=_log(rng, 2e-3, 2e-2),
+        noise_at_motor=float(rng.uniform()),
+    )
+
+
+# ---- effects ----
+
+
+def _sides(rng: np.random.Generator, name: str, torque: float) -> dict[str, float]:
+    """A torque (N m at the link) shared at random between motor and link; often all of it acts at one."""
+    at_motor = float(np.clip(rng.uniform(-0.3, 1.3), 0.0, 1.0))
+    return {f"{name}_motor": at_motor * torque, f"{name}_link": (1.0 - at_motor) * torque}
+
+
+def _dry(rng: np.random.Generator, torque: float, half: float, name: str) -> tuple[dict[str, float], Concealed]:
+    """Dry friction that varies by `torque` (N m) in all, as torques named so, and the plain part of it."""
+    # It is 1 to 3.3 times what varies, but no more than the drive can move.
+    level = torque / float(rng.uniform(min(max(0.3, torque / (0.35 * half)), 1.0), 1.0))
+    varying = _sides(rng, name, torque)
+    scale = level / torque if torque > 0.0 else 0.0
+    plain = {"dry_motor": scale * varying[f"{name}_motor"], "dry_link": scale * varying[f"{name}_link"]}
+    return varying | plain, Concealed("coulomb_friction", plain)
+
+
+def _thermal(rng: np.random.Generator, rig: Rig, kelvin: float, duration: float) -> dict[str, float]:
+    """Heating by that much until the end of a recording in which the drive works hard."""
+    stall = rig.supply * 0.5 / rig.resistance
+    emf = rig.motor_constant * rig.ratio * rig.half_speed / rig.resistance
+    power = rig.resistance * ((stall - emf) ** 2 + 0.1 * stall**2)  # some reversals on top of steady running
+    cooling = 1.0 / (duration * _log(rng, 0.3, 3.0))
+    heating = kelvin * cooling / (power * -math.expm1(-cooling * duration))
+    if rng.uniform() < 0.3:  # the bridge folds back
+        hot = {"heat_resistance": 0.0, "heat_flux": 0.0, "heat_drive": float(rng.uniform(0.002, 0.005))}
+    else:  # copper resists more, magnets weaken
+        hot = {"heat_resistance": COPPER, "heat_flux": float(rng.uniform(0.0005, 0.002)), "heat_drive": 0.0}
+    return {"heating": heating, "cooling": cooling} | hot
+
+
+def _joint(rng: np.random.Generator, rig: Rig, size: float) -> dict[str, float]:
+    """A shaft behind the output wheel; its compliance grows with the size: 3 Hz at 0.3."""
+    hub = float(rng.uniform(0.1, 0.25)) * rig.link_inertia
+    near, far = rig.inertia - rig.link_inertia + hub, rig.link_inertia - hub
+    reduced = near * far / (near + far)
+    ratio = _log(rng, 0.02, 0.1)
+    softest = 1.0 / (reduced * (2.0 * math.pi * 3.0) ** 2)
+    compliance = softest * size / 0.3
+    damping = 2.0 * ratio * math.sqrt(reduced / compliance) if size > 0.0 else 0.0
+    return {"joint_compliance": compliance, "joint_damping": damping, "joint_hub": hub}
+
+
+def _stop(rng: np.random.Generator, rig: Rig, size: float) -> dict[str, float]:
+    """A stiff stop, the nearer the larger the size, above, below or both; none at size 0."""
+    reach, side = rig.half_speed * (0.3 / max(size, 1e-9)) ** 0.25, int(rng.integers(5))  # three of five have both
+    upper, lower = (_log(rng, 0.1, 0.8) * reach for _ in range(2))
+    stiffness = rig.inertia * (2.0 * math.pi * _log(rng, 5.0, 20.0)) ** 2 if size > 0.0 else 0.0
+    bounce = float(rng.uniform(0.2, 0.7))
+    return {
+        "stop_upper_stiffness": 0.0 if side == 1 else stiffness,
+        "stop_upper_angle": upper,
+        "stop_lower_stiffness": 0.0 if side == 2 else stiffness,
+        "stop_lower_angle": -lower,
+        "stop_loss": 1.5 * (1.0 - bounce) / rig.half_speed,
+    }
+
+
+def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, duration: float = 60.0) -> Concealed:
+    """An effect of that size, all else about it at random.
+
+    The size is its torque over that of the drive at 50 % duty; for effects without a torque 0.3 is a lag of 60 ms, a
+    delay of 30 ms, a coupling of 3 Hz, a clip at 40 % duty, 30 mrad of eccentricity, a link's inertia times or over
+    1.9, 60 K, three tenths of the winding's resistance in the source, a gap 120 mrad wider at the damaged tooth, and a
+    bridge that opens wholly. A stop comes nearer as the size grows. `duration` (s) is of the recording.
+
+    Raises ValueError for an id that is not known.
+    """
+    half = rig._half_torque
+    torque, turn = size * half, float(rng.uniform(-math.pi, math.pi))
+    sign = float(rng.choice([-1.0, 1.0]))
+    inertia, speed = rig.inertia, rig.half_speed
+    carrier = None
+    match id:
+        case "constant_offset":
+            values = _sides(rng, "offset", sign * torque)
+        case "coulomb_friction":
+            values = _sides(rng, "dry", torque)
+        case "drive_saturation":
+            values = {"clip": 40.0 * (0.3 / size) ** 0.4 if size > 0.0 else 0.0}
+        case "encoder_eccentricity":
+            values = {"eccentricity": 0.1 * size, "eccentricity_phase": turn}
+        case "end_stop":
+            values = _stop(rng, rig, size)
+        case "friction_asymmetry":
+            values, carrier = _dry(rng, torque, half, "asymmetry")
+            values |= {name: sign * values[name] for name in ("asymmetry_motor", "asymmetry_link")}
+        case "gravity":
+            values = {"gravity_torque": torque, "gravity_angle": turn}
+        case "input_delay":
+            values = {"delay": 0.1 * size}
+        case "joint_elasticity":
+            values = _joint(rng, rig, size)
+        case "load_change":
+            added = rig.link_inertia * ((1.0 + 3.0 * size) ** sign - 1.0)
+            values = {"load_added": added, "load_time": duration * float(rng.uniform(0.3, 0.7))}
+        case "load_dependent_friction":
+            # The torque that passes the teeth as the drive speeds up is the link's share of it.
+            values = _sides(rng, "efficiency", size * inertia / rig.link_inertia)
+        case "motor_lag":
+            values = {"lag_time": 0.2 * size, "lag_place": float(rng.choice([COMMAND_LAG, VOLTAGE_LAG, WINDING_LAG]))}
+        case "periodic_disturbance":
+            values = {"outside_torque": torque, "outside_frequency": _log(rng, 0.3, 6.0), "outside_phase": turn}
+        case "position_dependent_friction":
+            values, carrier = _dry(rng, torque, half, "turn")
+            values |= {"turn_phase": turn, "turn_second": float(rng.uniform(0.0, 0.2))}
+        case "quadratic_drag":
+            values = _sides(rng, "drag", torque / speed**2)
+        case "spring":
+            values = {"spring_rate": torque / speed, "spring_angle": float(rng.uniform(-0.2, 0.2)) * speed}
+        case "stribeck_friction":
+            values, carrier = _dry(rng, torque, half, "stribeck")
+            values |= {"stribeck_speed": speed * _log(rng, 0.03, 0.25), "stribeck_exponent": float(rng.integers(1, 3))}
+        case "supply_sag":
+            values = {"source_resistance": size * rig.resistance, "source_time": _log(rng, 1e-3, 5e-2)}
+        case "thermal_fade":
+            values = _thermal(rng, rig, 200.0 * size, duration)
+        case "torque_ripple":
+            values = _sides(rng, "ripple", torque)
+            values |= {"ripple_order": float(rng.integers(4, 25)), "ripple_phase": turn}
+            values |= {"ripple_second": float(rng.uniform(0.0, 0.3))}
+        case "other_damaged_tooth":
+            values = {"tooth_gap": 0.4 * size, "tooth_angle": turn, "tooth_width": math.radians(_log(rng, 5.0, 20.0))}
+        case "other_detent":
+            width = math.radians(_log(rng, 5.0, 20.0))
+            values = {"detent_torque": torque, "detent_angle": turn, "detent_width": width}
+        case "other_freewheel":
+            values = {"bridge_open": min(size / 0.3, 1.0)}
+        case "other_friction_hump":
+            values = {"hump_torque": torque, "hump_speed": speed * float(rng.uniform(0.3, 0.8))}
+            values |= {"hump_width": speed * float(rng.uniform(0.06, 0.15))}
+        case "other_slosh":
+            coupling = torque / speed * float(rng.uniform(1.0, 2.0))
+            slosh_time = inertia / (half / speed) * _log(rng, 0.3, 3.0)
+            values = {"slosh_inertia": coupling * slosh_time, "slosh_coupling": coupling}
+        case _:
+            raise ValueError(f"no effect {id!r}; there are {', '.join((*VOCABULARY, *OUTSIDE))}")
+    return Concealed(id, {name: float(value) for name, value in values.items()}, carrier)
+
+
+# ---- running it ----
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _bridge(duty: float, p: _Plant) -> float:
+    """The share of the supply that is left of a duty (%): what dead time eats is lost, shorter pulses altogether."""
+    if duty > p.dead_band_forward:
+        return 0.01 * (duty - p.dead_band_forward)
+    if duty < -p.dead_band_reverse:
+        return 0.01 * (duty + p.dead_band_reverse)
+    return 0.0
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _wrapped(angle: float) -> float:
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _mesh(motor: float, wheel: float, motor_speed: float, wheel_speed: float, p: _Plant) -> tuple[float, float]:
+    """What the teeth (rad, rad/s) do: torque on the wheel, and what is taken from the motor, N m."""
+    half, slope = 0.5 * p.backlash_gap, 0.0
+    if p.tooth_gap > 0.0:
+        off = _wrapped(wheel - p.tooth_angle) / p.tooth_width
+        wider = 0.5 * p.tooth_gap * math.exp(-0.5 * off * off)
+        half, slope = half + wider, -wider * off / p.tooth_width
+    apart = motor - wheel
+    if abs(apart) < half - 2.0 * p.mesh_error:
+        return 0.0, 0.0
+    phase = p.teeth * wheel
+    wave = math.sin(phase)
+    apart += p.mesh_error * wave
+    side = 1.0 if apart > 0.0 else -1.0
+    depth = side * apart - half
+    if depth <= 0.0:
+        return 0.0, 0.0
+    lever = 1.0 - p.mesh_error * p.teeth * math.cos(phase) + side * slope  # virtual work: how the wheel moves the gap
+    rate = side * (motor_speed - wheel_speed * lever)
+    force = p.mesh_stiffness * (1.0 + p.mesh_variation * wave) * depth
+    force += p.mesh_damping * min(depth / p.mesh_film, 1.0) * rate
+    force = side * max(force, 0.0)  # teeth do not pull
+    return force * lever, force
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _held(speed: float, change: float, limit: float) -> float:
+    """The speed after a step with that change, where dry friction takes up to `limit` (rad/s): it never turns it."""
+    free = speed + change
+    if free > limit:
+        return free - limit
+    if free < -limit:
+        return free + limit
+    return 0.0
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _dry_torque(
+    free: float, speed: float, angle: float, passed: float, dry: float, asymmetry: float, stribeck: float,
+    turn: float, efficiency: float, p: _Plant,
+) -> float:  # fmt: skip
+    """The most that dry friction takes (N m) of a body that would go on at `free` (rad/s); teeth pass `passed`."""
+    torque = dry + (asymmetry if free > 0.0 else -asymmetry) + efficiency * abs(passed)
+    if stribeck > 0.0:
+        torque += stribeck * math.exp(-((abs(speed) / p.stribeck_speed) ** p.stribeck_exponent))
+    if turn > 0.0:
+        wave = math.sin(angle + p.turn_phase) + p.turn_second * math.sin(2.0 * angle)
+        torque += turn * wave / (1.0 + p.turn_second)
+    return max(torque, 0.0)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _field(angle: float, speed: float, t: float, p: _Plant) -> float:
+    """All torques (N m) on the link that its surroundings make, by angle (rad), speed (rad/s) and time (s)."""
+    torque = p.offset_link - p.drag_link * speed * abs(speed)
+    if p.gravity_torque > 0.0:
+        torque -= p.gravity_torque * math.sin(angle - p.gravity_angle)
+    if p.spring_rate > 0.0:
+        torque -= p.spring_rate * (angle - p.spring_angle)
+    if p.outside_torque > 0.0:
+        torque += p.outside_torque * math.sin(2.0 * math.pi * p.outside_frequency * t + p.outside_phase)
+    if p.stop_upper_stiffness > 0.0 and angle > p.stop_upper_angle:
+        push = p.stop_upper_stiffness * (angle - p.stop_upper_angle) * (1.0 + p.stop_loss * speed)
+        torque -= max(push, 0.0)
+    if p.stop_lower_stiffness > 0.0 and angle < p.stop_lower_angle:
+        push = p.stop_lower_stiffness * (p.stop_lower_angle - angle) * (1.0 - p.stop_loss * speed)
+        torque += max(push, 0.0)
+    if p.detent_torque > 0.0:
+        off = _wrapped(angle - p.detent_angle) / p.detent_width
+        torque -= p.detent_torque * off * math.exp(0.5 - 0.5 * off * off)
+    if p.hump_torque > 0.0:
+        off = (abs(speed) - p.hump_speed) / p.hump_width
+        # The factor fades it out towards rest, where friction that does not turn with speed would not be friction.
+        torque -= p.hump_torque * math.exp(-0.5 * off * off) * math.tanh(speed / (0.2 * p.hump_speed))
+    return torque
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _ripple(angle: float, p: _Plant) -> float:
+    phase = p.ripple_order * angle + p.ripple_phase
+    return math.sin(phase) + p.ripple_second * math.sin(2.0 * phase)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _run(time: Array, duty: Array, motor_noise: Array, link_noise: Array, p: _Plant) -> Array:
+    """Link angle, its speed, motor angle (at the link) and current at the stamps, (n, 4)."""
+    n = time.size
+    out = np.zeros((n, 4))
+    motor, wheel, link = p.gap_start * p.backlash_gap, 0.0, 0.0
+    motor_speed = wheel_speed = link_speed = 0.0
+    current = temperature = filtered = slosh_speed = 0.0
+    bus = p.supply
+    flexible = p.joint_compliance > 0.0
+    winding_time = p.lag_time if p.lag_time > 0.0 and p.lag_place == WINDING_LAG else p.winding_time
+    due = -1  # the stamp whose duty has arrived at the drive
+    for k in range(n):
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = link, link_speed, motor, current
+        if k == n - 1:
+            break
+        steps = max(math.ceil((time[k + 1] - time[k]) / STEP - 1e-6), 1)
+        h = (time[k + 1] - time[k]) / steps
+        winding = 1.0 - math.exp(-h / winding_time)
+        lag = 1.0 - math.exp(-h / p.lag_time) if p.lag_time > 0.0 else 0.0
+        source = 1.0 - math.exp(-h / p.source_time) if p.source_resistance > 0.0 else 0.0
+        for j in range(steps):
+            t = time[k] + j * h
+            # Duty: register, clip, command filter, dead time, output filter.
+            while due + 1 < n and time[due + 1] + p.delay <= t + 1e-9:
+                due += 1
+            asked = math.floor(duty[due] * 0.01 * p.pwm_steps + 0.5) / (0.01 * p.pwm_steps) if due >= 0 else 0.0
+            if p.clip > 0.0:
+                asked = min(max(asked, -p.clip), p.clip)
+            if lag > 0.0 and p.lag_place == COMMAND_LAG:
+                filtered += lag * (asked - filtered)
+                asked = filtered
+            on = _bridge(asked, p)
+            switching = on != 0.0
+            if lag > 0.0 and p.lag_place == VOLTAGE_LAG:
+                filtered += lag * (on - filtered)
+                on = filtered
+            # Current.
+            resistance = p.resistance * (1.0 + p.heat_resistance * temperature)
+            constant = p.constant * (1.0 - p.heat_flux * temperature)
+            if p.source_resistance > 0.0:
+                bus += source * (p.supply - p.source_resistance * on * current - bus)
+            emf = constant * motor_speed
+            if p.bridge_open > 0.0 and not switching:
+                emf *= 1.0 - p.bridge_open
+            voltage = on * bus * (1.0 - p.heat_drive * temperature)
+            current += winding * ((voltage - emf) / resistance - current)
+            if p.heating > 0.0:
+                temperature += h * (p.heating * resistance * current * current - p.cooling * temperature)
+            # Torques.
+            at = min(int((t - time[0]) / NOISE_STEP), motor_noise.size - 1)
+            on_wheel, from_motor = _mesh(motor, wheel, motor_speed, wheel_speed, p)
+            ripple = 0.0
+            if p.ripple_motor > 0.0 or p.ripple_link > 0.0:
+                ripple = _ripple(wheel, p)
+            drive = constant * current * (1.0 + p.commutation * math.sin(p.commutator_order * motor))
+            drive += p.offset_motor + motor_noise[at] - from_motor + p.ripple_motor * ripple
+            drive -= (p.motor_viscous + p.drag_motor * abs(motor_speed)) * motor_speed
+            load = _field(link, link_speed, t, p) + link_noise[at] - p.link_viscous * link_speed
+            load += p.ripple_link * ripple
+            if p.slosh_coupling > 0.0:
+                dragged = p.slosh_coupling * (link_speed - slosh_speed)
+                load -= dragged
+                slosh_speed += h * dragged / p.slosh_inertia
+            inertia = p.link_inertia
+            if t >= p.load_time:
+                inertia += p.load_added
+            if flexible:
+                twist = (wheel - link) / p.joint_compliance + p.joint_damping * (wheel_speed - link_speed)
+                load += twist
+                inertia -= p.joint_hub
+                wheel_speed += h * (on_wheel - twist) / p.joint_hub
+            else:
+                load += on_wheel
+            # Speeds, then angles: dry friction takes what it needs to hold, at most what it has.
+            change = h * drive / p.motor_inertia
+            held = _dry_torque(
+                motor_speed + change, motor_speed, wheel, from_motor, p.dry_motor, p.asymmetry_motor,
+                p.stribeck_motor, p.turn_motor, p.efficiency_motor, p,
+            )  # fmt: skip
+            motor_speed = _held(motor_speed, change, h * held / p.motor_inertia)
+            change = h * load / inertia
+            held = _dry_torque(
+                link_speed + change, link_speed, link, from_motor, p.dry_link, p.asymmetry_link, p.stribeck_link,
+                p.turn_link, p.efficiency_link, p,
+            )  # fmt: skip
+            link_speed = _held(link_speed, change, h * held / inertia)
+            motor += h * motor_speed
+            link += h * link_speed
+            if flexible:
+                wheel += h * wheel_speed
+            else:
+                wheel, wheel_speed = link, link_speed
+    return out
+
+
+def _noise(rig: Rig, span: float, seed: int) -> tuple[Array, Array]:
+    """Torques (N m at the link) on motor and link, one value per `NOISE_STEP`."""
+    n = math.ceil(span / NOISE_STEP) + 1
+    keep = math.exp(-NOISE_STEP / rig.noise_time)
+    # White noise through a filter of gain one at standstill: the density at low frequency is as drawn.
+    white = np.random.default_rng(seed).standard_normal((2, n)) * (rig.noise_density / math.sqrt(NOISE_STEP))
+    coloured = lfilter([1.0 - keep], [1.0, -keep], white, axis=1)
+    return math.sqrt(rig.noise_at_motor) * coloured[0], math.sqrt(1.0 - rig.noise_at_motor) * coloured[1]
+
+
+def _plant(rig: Rig, effects: Sequence[Concealed]) -> _Plant:
+    ids = [e.id for e in effects]
+    for i in ids:
+        if i not in VOCABULARY and i not in OUTSIDE:
+            raise ValueError(f"no effect {i!r}; there are {', '.join((*VOCABULARY, *OUTSIDE))}")
+        if ids.count(i) > 1:
+            raise ValueError(f"{i} is there twice")
+    gear = rig.ratio**2
+    values: dict[str, float] = {}
+    for effect in effects:
+        for name, value in effect.parameters.items():
+            values[name] = values.get(name, 0.0) + value  # dry friction may be part of several
+    return _Plant(
+        supply=rig.supply,
+        resistance=rig.resistance,
+        winding_time=rig.inductance / rig.resistance,
+        constant=rig.ratio * rig.motor_constant,
+        motor_inertia=gear * rig.motor_inertia,
+        link_inertia=rig.link_inertia,
+        motor_viscous=gear * rig.motor_viscous,
+        link_viscous=rig.link_viscous,
+        dead_band_forward=rig.dead_band_forward,
+        dead_band_reverse=rig.dead_band_reverse,
+        backlash_gap=rig.backlash_gap,
+        gap_start=rig.gap_start,
+        mesh_stiffness=rig.mesh_stiffness,
+        mesh_damping=rig.mesh_damping,
+        mesh_film=rig.mesh_film,
+        mesh_variation=rig.mesh_variation,
+        mesh_error=rig.mesh_error,
+        teeth=rig.teeth,
+        commutation=rig.commutation,
+        commutator_order=rig.ratio * rig.commutator_bars,
+        pwm_steps=rig.pwm_steps,
+        **values,
+    )
+
+
+def simulate(
+    rig: Rig, effects: Sequence[Concealed], time: Array, duty: Array, seed: int, noise: bool = True
+) -> Simulated:
+    """The rig from rest with these effects: stamps (n,) in s, duty (n,) in %, held from each stamp to the next.
+
+    `seed` draws the process noise and nothing else. Raises ValueError for an effect that is not known or there twice.
+    """
+    plant = _plant(rig, effects)
+    time, duty = np.ascontiguousarray(time, dtype=float), np.ascontiguousarray(duty, dtype=float)
+    motor_noise, link_noise = _noise(rig, time[-1] - time[0], seed) if noise else (np.zeros(1), np.zeros(1))
+    link, velocity, motor, current = _run(time, duty, motor_noise, link_noise, plant).T.copy()
+    shown = link + plant.eccentricity * np.sin(link + plant.eccentricity_phase)
+    counts = np.floor(shown * rig.counts_per_revolution / (2.0 * math.pi) + rig.encoder_phase).astype(np.int64)
+    return Simulated(time, duty, counts, shown, velocity, motor * rig.ratio, current, rig.counts_per_revolution)
