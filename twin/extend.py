@@ -43,6 +43,9 @@ from twin.writers import latex
 #: So many shapes without a name are drawn to the end; none where names likelier than this leave a smaller share of the
 #: missing torque and took away what depends on the state, or more.
 SKETCHES, LIKELY, FAINT = 3, 0.9, 0.1
+#: Dry friction that leaves a smaller share of the missing torque than this keeps its name: no machine's follows a law
+#: exactly, and a curve over the speed follows it wherever it departs.
+DRY = 0.3
 #: Shapes that are tried whatever the missing torque shows: the likelihood sees more of them than its averages do.
 ALWAYS = ("position", "velocity", "input", "time", "drag")
 
@@ -197,11 +200,13 @@ def _outdone(found: Search, nameless: Point, left: Sequence[unknown.Leftover]) -
     """
     if not compare.earns(found.last, nameless):
         return False
+    new = [EFFECTS[i] for i in found.last.structure.named if i not in found.first.structure]
+    if new and all(e.slot == "grip" for e in new) and left[1].size < DRY * left[0].size:
+        return False
     goes = any(one.p_value < unknown.SURE for one in left) and explain.shows(found.cases, found.last, nameless)
     if not goes and foretold.chance(found.cases, found.last, nameless) > foretold.SURE:
         return False
-    names = len(found.last.structure.named) - len(found.first.structure.named)
-    return compare.ahead(_beside(found, nameless), nameless) <= names * compare.LEAST
+    return compare.ahead(_beside(found, nameless), nameless) <= len(new) * compare.LEAST
 
 
 def _drawn(found: Search, nameless: Point) -> Search:

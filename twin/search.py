@@ -226,11 +226,12 @@ def _swapped(
         margin = max(UNSURE, NARROW * contest.gain)
         for h, short in contest.rivals:
             if short < margin:
-                rest = last.structure.without(effect, *last.structure.brought_by(effect))
-                own, other = h.point, rest.with_(*h.added)
+                own, brought = h.point, last.structure.brought_by(effect)
                 starts = ({**own.values, **last.values}, {**last.values, **own.values})
-                tried = [valleys.settle(cases, other, values, held, last.density) for values in starts]
-                point = valleys.deepen(cases, min(tried, key=lambda p: p.deviance), held)
+                # What the effect had brought along may be there without it.
+                others = dict.fromkeys(last.structure.without(effect, *i).with_(*h.added) for i in ((), brought))
+                tried = [valleys.settle(cases, o, v, held, last.density) for o in others for v in starts]
+                point = valleys.deepen(cases, min(tried, key=lambda p: behind(p, last)), held)
                 # What does not come close needs no test.
                 far = compare.ahead(last, point) > UNSURE
                 without = min((q for q in lesser if effect not in q.structure), key=lambda q: q.deviance)
