@@ -72,3 +72,24 @@ def test_every_reading_that_is_judged_is_left_out_once():
 def test_of_a_few_seconds_nothing_is_said():
     cases, plain, curve = compared(recorded(hump=2.0, seconds=4.0))
     assert foretold.chance(cases, plain, curve) == 1.0
+
+
+def test_what_acts_in_a_few_places_only_is_no_chance() -> None:
+    rng = np.random.default_rng(7)
+    nothing = rng.standard_normal(40)
+    few = np.concatenate([rng.uniform(20.0, 900.0, 9), nothing[9:]])
+    assert foretold.by_chance(few) < foretold.SURE
+    assert foretold.by_chance(-few) > 0.5 and foretold.by_chance(nothing) > 0.05
+    # One loss among the largest, and it may be chance again.
+    assert foretold.by_chance(np.append(few, -400.0)) > foretold.SURE
+
+
+@pytest.mark.parametrize("tails", ["light", "heavy"])
+def test_changes_of_random_sign_are_seldom_no_chance(tails: str) -> None:
+    rng = np.random.default_rng(8)
+    sizes = rng.standard_normal((3000, 40)) if tails == "light" else rng.standard_cauchy((3000, 40))
+    said = np.array([foretold.by_chance(row) for row in sizes])
+    for level in (0.2, 0.05, foretold.SURE):
+        # Above three standard deviations of what is counted it is more than the level.
+        assert np.mean(said <= level) < level + 3.0 * np.sqrt(level / len(said))
+    assert foretold.by_chance(np.ones(20)) < 1e-4 and foretold.by_chance(-np.ones(20)) == 1.0

@@ -297,6 +297,24 @@ def test_a_weak_torque_shows_although_a_filter_that_forgets_fast_does_not_see_it
     assert explain.shows(cases, before, after)
 
 
+def test_a_model_learns_nothing_from_one_that_is_no_longer_what_its_names_say() -> None:
+    """A load that changed before the recording is another gain, and leaves no number its own size."""
+    recording = Recording("made", 0.002 * np.arange(5000), np.zeros(5000), np.zeros(5000), "%", "rad", 1e-3)
+    structure, nothing = Structure.of(BASE).with_("load_change"), np.eye(0)
+    cases = [likelihood.prepare(recording, structure)]
+
+    def at(moment: float, deviance: float) -> likelihood.Point:
+        values = ready.completed(structure, {"load_time": moment, "load_added": 0.5})
+        return likelihood.Point(structure, values, 1.0, (), deviance, 1.0, nothing, np.zeros(0), nothing)
+
+    here, bent, learned = at(5.0, 0.0), at(-3.0, -900.0), at(6.0, -20.0)
+    assert explain._better(cases, here, [bent, learned]) is learned
+    assert explain._better(cases, here, [bent]) is here
+    assert explain._better(cases, bent, [at(-4.0, -950.0)]) is not bent  # it was none before, either
+    less = replace(bent, structure=Structure.of(BASE), values={}, deviance=1e6)
+    assert search._fair(cases, here, [bent, less], less) is here
+
+
 def test_what_a_law_misses_of_its_own_effect_is_no_other_effect() -> None:
     """Beside an effect that does much, another has to do more than one that is there alone."""
     nothing = np.eye(0)
@@ -304,8 +322,8 @@ def test_what_a_law_misses_of_its_own_effect_is_no_other_effect() -> None:
     for much, needed in ((-100.0 * compare.LEAST, 1.5), (-800.0 * compare.LEAST, 3.5)):
         less = replace(begun, deviance=much)
         enough, scant = (replace(begun, deviance=much - times * compare.LEAST) for times in (needed, needed - 0.5))
-        assert search._fair(enough, [less, begun], begun) is enough
-        assert search._fair(scant, [less, begun], begun) is less
+        assert search._fair([], enough, [less, begun], begun) is enough
+        assert search._fair([], scant, [less, begun], begun) is less
 
 
 def test_a_larger_model_is_never_behind_the_smaller_one_that_it_contains(monkeypatch) -> None:

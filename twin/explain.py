@@ -228,6 +228,11 @@ def _in_place_of(
     return Hypothesis(one.added, valleys.settle(cases, own.structure, {**own.values, **shared}, held, own.density))
 
 
+def _better(cases: Sequence[Case], point: Point, others: Sequence[Point]) -> Point:
+    """The point, or the likeliest of others of its structure that are still what their names say."""
+    return min([point, *(p for p in others if plausible(cases, p, point))], key=lambda p: p.deviance)
+
+
 def _tested(
     cases: Sequence[Case], before: Point, h: Hypothesis, held: Mapping[str, float]
 ) -> tuple[Point, bool]:  # fmt: skip
@@ -236,8 +241,7 @@ def _tested(
     """
     if not compare.earns(before, h.point):
         return before, False
-    smaller = valleys.settle(cases, before.structure, h.point.values, held, before.density)
-    before = min(before, smaller, key=lambda p: p.deviance)
+    before = _better(cases, before, [valleys.settle(cases, before.structure, h.point.values, held, before.density)])
     return before, compare.earns(before, h.point) and shows(cases, before, h.point)
 
 
@@ -267,10 +271,8 @@ def compete(
             near = contest(cases, before, promising)
             keep(list(pool.map(lambda h: _finish(cases, h, held, density), near[:NEAR])))
             leaders = leading(2)
-            smaller = min(
-                pool.map(lambda h: valleys.settle(cases, structure, h.point.values, held, density), leaders),
-                key=lambda p: p.deviance,
-            )
+            places = pool.map(lambda h: valleys.settle(cases, structure, h.point.values, held, density), leaders)
+            smaller = _better(cases, before, list(places))
             unit = compare.worth([before, leaders[0].point])
             learned = (before.deviance - smaller.deviance) / unit
             if learned < compare.PRICE:

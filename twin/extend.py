@@ -46,6 +46,9 @@ SKETCHES, LIKELY, FAINT = 3, 0.9, 0.1
 #: Dry friction that leaves a smaller share of the missing torque than this keeps its name: no machine's follows a law
 #: exactly, and a curve over the speed follows it wherever it departs.
 DRY = 0.3
+#: Where nothing is named and the missing torque goes with something, but for this chance, a curve that foretells has to
+#: earn no more than its knots' price.
+CERTAIN = 0.001
 #: Shapes that are tried whatever the missing torque shows: the likelihood sees more of them than its averages do.
 ALWAYS = ("position", "velocity", "input", "time", "drag")
 
@@ -193,18 +196,21 @@ def _learned(found: Search, nameless: Point) -> Search:
 def _outdone(found: Search, nameless: Point, left: Sequence[unknown.Leftover]) -> bool:
     """Whether what has no name is what a recording speaks for: it does more than the names, which beside it do nothing.
 
-    Where the missing torque of neither model, `left`, goes with anything, it has to foretell what it was not fitted to.
+    Where the missing torque of neither model, `left`, goes with anything, it has to foretell what it was not fitted to;
+    where nothing is named and that of the first plainly does, one that foretells need not do more than is its price.
     Every real friction departs a little from its name, and a curve that may take any shape follows it; but what else
     the name says, as that friction turns with the motion, the curve does not have. So names keep their place where they
-    grow again beside the curve and each still earns it there.
+    grow again beside the curve and each still earns it there, and dry friction does that leaves little.
     """
-    if not compare.earns(found.last, nameless):
-        return False
     new = [EFFECTS[i] for i in found.last.structure.named if i not in found.first.structure]
+    certain = not new and left[0].p_value < CERTAIN and compare.earned(found.last, nameless) > 0.0
+    earns = compare.earns(found.last, nameless)
+    if not (earns or certain):
+        return False
     if new and all(e.slot == "grip" for e in new) and left[1].size < DRY * left[0].size:
         return False
     goes = any(one.p_value < unknown.SURE for one in left) and explain.shows(found.cases, found.last, nameless)
-    if not goes and foretold.chance(found.cases, found.last, nameless) > foretold.SURE:
+    if not (goes and earns) and foretold.chance(found.cases, found.last, nameless) > foretold.SURE:
         return False
     return compare.ahead(_beside(found, nameless), nameless) <= len(new) * compare.LEAST
 
@@ -263,12 +269,28 @@ def _idle(cases: Sequence[Case], sharp: Point, first: Structure) -> list[str]:
     return out
 
 
+def _unforetold(found: Search, first: Structure) -> list[str]:
+    """The names beyond the first model without which what a name was not fitted to would be foretold as well: bounces
+    that happened to fall its way earned it its place.
+    """
+    out = []
+    for effect in (i for i in found.last.structure.named if i not in first):
+        without = [q for q in found.lesser if effect not in q.structure]
+        if without:
+            gains = foretold.gains(found.cases, min(without, key=lambda q: q.deviance), found.last)
+            # A few seconds tell nothing either way.
+            if np.count_nonzero(gains) >= foretold.LEAST and foretold.by_chance(gains) > foretold.IDLE:
+                out.append(effect)
+    return out
+
+
 def _lasting(found: Search, first: Structure) -> tuple[Search, tuple[list[Case], Point]]:
-    """The search without the names of its last model that a filter makes nothing of which remembers for as long as that
-    model bears: what is there acts for longer than a bounce. And what that filter foresees.
+    """The search without the names of its last model that foretell nothing, and those that a filter makes nothing of
+    which remembers for as long as that model bears: what is there acts for longer than a bounce. And what that filter
+    foresees.
     """
     foreseen = _foreseeing(found)
-    while idle := _idle(*foreseen, first):
+    while idle := _idle(*foreseen, first) or _unforetold(found, first):
         last = found.last
         less = last.structure.without(*idle)
         last = valleys.settle(found.cases, less, foreseen[1].values, valleys.kept(last), last.density)

@@ -77,13 +77,13 @@ def _fits(
     return [valleys.settle(cases, s, point.values, held, point.density) for s in structures]
 
 
-def _fair(point: Point, lesser: Sequence[Point], begun: Point) -> Point:
+def _fair(cases: Sequence[Case], point: Point, lesser: Sequence[Point], begun: Point) -> Point:
     """The best of the lesser fits whose lack does not matter, or the point itself.
 
     What a law misses of what it stands for must not pass for another effect.
     """
     missed = compare.LAX**2 * max(begun.deviance - point.deviance, 0.0)
-    fair = [q for q in lesser if not compare.earns(q, point, missed)]
+    fair = [q for q in lesser if plausible(cases, q, point) and not compare.earns(q, point, missed)]
     return min(fair, key=lambda q: compare.criterion(q, compare.worth([point])), default=point)
 
 
@@ -98,7 +98,8 @@ def _grown(
     rounds: list[Round] = []
     while len(rounds) < MOST and (open_ := [c for c in candidates if c not in best.structure]):
         tell(f"round {len(rounds) + 1}: trying {len(open_)} effects", 0.05 + 0.2 * len(rounds))
-        best = valleys.relocated(cases, valleys.rejudged(cases, best, held), held) if rounds else best
+        moved = valleys.relocated(cases, valleys.rejudged(cases, best, held), held) if rounds else best
+        best = moved if plausible(cases, moved, best) else best
         this = explain.again(cases, explain.compete(cases, best, known, open_, held), open_, held)
         more = () if this.won or len(rounds) + 2 > MOST else explain.beyond(cases, this, open_, held)
         rounds += more or [this]
@@ -118,7 +119,7 @@ def _pruned(
     lesser: list[Point] = []
     while fewer := _smaller(best.structure, begun.structure):
         lesser = [*_fits(cases, best, held, fewer), begun]
-        less = _fair(best, lesser, begun)
+        less = _fair(cases, best, lesser, begun)
         if less is best:
             break
         best = less
