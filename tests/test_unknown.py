@@ -322,7 +322,7 @@ def test_what_has_no_name_wins_where_the_names_do_nothing_beside_it(key, name, t
     nameless = with_curve([case], first, term)
     found = Search(first, last, (), (case,))
     for p_value in (1.0, 0.0):
-        assert extend._outdone(found, nameless, [left(0.3, p_value, 0.4)]) is outdone
+        assert extend._outdone(found, nameless, 2 * [left(0.3, p_value, 0.4)]) is outdone
 
 
 @pytest.mark.parametrize(
@@ -334,7 +334,44 @@ def test_beside_a_curve_that_does_more_every_name_has_to_earn_its_place(monkeypa
     nameless = with_curve([case], first, Term("velocity"))
     both = replace(nameless, deviance=nameless.deviance - earned * compare.worth([nameless]))
     monkeypatch.setattr(extend, "_beside", lambda found, curve: both)
-    assert extend._outdone(Search(first, last, (), (case,)), nameless, [left(0.3, 0.0, 0.4)]) is outdone
+    assert extend._outdone(Search(first, last, (), (case,)), nameless, 2 * [left(0.3, 0.0, 0.4)]) is outdone
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "outdone"),
+    [("coulomb_friction", 0.1, False), ("coulomb_friction", 0.2, True), ("quadratic_drag", 0.1, True)],
+)
+def test_dry_friction_that_leaves_little_keeps_its_name(monkeypatch, name, size, outdone):
+    """No machine's follows a law exactly; and a curve over the speed has its step, so that it does nothing beside."""
+    case, first = fitted("hump")
+    last, nameless = replace(first, structure=STRUCTURE.with_(name)), with_curve([case], first, Term("velocity"))
+    monkeypatch.setattr(extend, "_beside", lambda found, curve: nameless)
+    what = [left(0.8, 0.0, 0.4), left(0.7, 0.0, size)]
+    assert extend._outdone(Search(first, last, (), (case,)), nameless, what) is outdone
+
+
+@pytest.mark.parametrize(("earned", "p_value", "outdone"), [(5.0, 1e-4, True), (5.0, 0.002, False), (-5.0, 1e-4, False)])
+def test_a_curve_that_foretells_what_plainly_goes_with_something_has_to_earn_its_price(
+    monkeypatch, earned, p_value, outdone
+):
+    case, first = fitted("hump")
+    nameless = with_curve([case], first, Term("velocity"))
+    monkeypatch.setattr(compare, "earned", lambda before, after, doubt=0.0: earned)
+    what = 2 * [left(0.1, p_value, 0.1)]
+    assert extend._outdone(Search(first, first, (), (case,)), nameless, what) is outdone
+
+
+def test_a_name_that_two_stretches_speak_for_is_dropped(monkeypatch):
+    case, first = fitted("drag")
+    last = with_name(case, first, "quadratic_drag")
+    found = Search(first, last, (), (case,), (first,))
+    assert extend._unforetold(found, first.structure) == []
+    assert extend._unforetold(replace(found, lesser=()), first.structure) == []
+    rng = np.random.default_rng(2)
+    lucky = np.concatenate([[300.0, 90.0], 10.0 * rng.standard_normal(40) - 2.0])
+    for gains, dropped in ((lucky, ["quadratic_drag"]), (lucky[:9], []), (np.abs(lucky), [])):
+        monkeypatch.setattr(extend.foretold, "gains", lambda *a, gains=gains: gains)
+        assert extend._unforetold(found, first.structure) == dropped
 
 
 @pytest.mark.parametrize(("key", "kept"), [("nothing", False), ("drag", True)])
