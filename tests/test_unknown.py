@@ -350,7 +350,9 @@ def test_dry_friction_that_leaves_little_keeps_its_name(monkeypatch, name, size,
     assert extend._outdone(Search(first, last, (), (case,)), nameless, what) is outdone
 
 
-@pytest.mark.parametrize(("earned", "p_value", "outdone"), [(5.0, 1e-4, True), (5.0, 0.002, False), (-5.0, 1e-4, False)])
+@pytest.mark.parametrize(
+    ("earned", "p_value", "outdone"), [(5.0, 1e-4, True), (5.0, 0.002, False), (-5.0, 1e-4, False)]
+)
 def test_a_curve_that_foretells_what_plainly_goes_with_something_has_to_earn_its_price(
     monkeypatch, earned, p_value, outdone
 ):
