@@ -576,5 +576,6 @@ def test_no_more_effects_than_that_are_looked_for(monkeypatch, alone: int, effec
     monkeypatch.setattr(valleys, "rejudged", lambda cases, point, held: point)
     monkeypatch.setattr(valleys, "relocated", lambda cases, point, held: point)
     monkeypatch.setattr(search, "_plainer", lambda cases, this, held: this.rivals[0].point)
+    monkeypatch.setattr(search, "plausible", lambda cases, point, before: True)
     best, rounds = search._grown((), points[0], [], names, {}, lambda sentence, share: None)
     assert len(best.structure.named) == effects == sum(r.won for r in rounds) <= search.MOST
