@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import manifests
 import real_recordings
 
-from twin import fitting, kernel, likelihood, ready, recording, screening, search
+from twin import extend, fitting, kernel, likelihood, ready, recording, screening, search
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES
 from twin.model import Model
@@ -144,6 +144,17 @@ def test_the_linear_axis_lacks_friction_and_a_constant_pull() -> None:
     assert numbers["M, kg"] == pytest.approx(95.1, rel=0.03)
     assert numbers["Fv, N s/m"] == pytest.approx(203.5, rel=0.06)
     assert numbers["Fc, N"] == pytest.approx(20.4, rel=0.06)
+
+
+@real
+def test_the_friction_of_the_linear_axis_keeps_its_name_beside_a_curve_that_does_more() -> None:
+    """Published models have dry friction and an offset: while it moves that is friction which is larger one way."""
+    chosen, rivals = real_recordings.SETS["emps"], ("coulomb_friction", "friction_asymmetry", "constant_offset")
+    recordings, rig = real_recordings.recordings_of("emps", DATA, quick=False)
+    first = fitting.first_structure(rig, chosen.more, chosen.fewer)
+    found = extend.diagnose(recordings, first, candidates=rivals)
+    assert [f.id for f in found.findings] == ["friction_asymmetry"] and found.verdict == "partly_explained"
+    assert [u.ids for u in found.undecided] == [("friction_asymmetry", "constant_offset")]
 
 
 @real
