@@ -662,35 +662,19 @@ def _plant(rig: Rig, effects: Sequence[Concealed]) -> _Plant:
             raise ValueError(f"no effect {i!r}; there are {', '.join((*VOCABULARY, *OUTSIDE))}")
         if ids.count(i) > 1:
             raise ValueError(f"{i} is there twice")
-    gear = rig.ratio**2
     values: dict[str, float] = {}
     for effect in effects:
         for name, value in effect.parameters.items():
             values[name] = values.get(name, 0.0) + value  # dry friction may be part of several
-    return _Plant(
-        supply=rig.supply,
-        resistance=rig.resistance,
-        winding_time=rig.inductance / rig.resistance,
-        constant=rig.ratio * rig.motor_constant,
-        motor_inertia=gear * rig.motor_inertia,
-        link_inertia=rig.link_inertia,
-        motor_viscous=gear * rig.motor_viscous,
-        link_viscous=rig.link_viscous,
-        dead_band_forward=rig.dead_band_forward,
-        dead_band_reverse=rig.dead_band_reverse,
-        backlash_gap=rig.backlash_gap,
-        gap_start=rig.gap_start,
-        mesh_stiffness=rig.mesh_stiffness,
-        mesh_damping=rig.mesh_damping,
-        mesh_film=rig.mesh_film,
-        mesh_variation=rig.mesh_variation,
-        mesh_error=rig.mesh_error,
-        teeth=rig.teeth,
-        commutation=rig.commutation,
-        commutator_order=rig.ratio * rig.commutator_bars,
-        pwm_steps=rig.pwm_steps,
-        **values,
-    )
+    at_link = {
+        "winding_time": rig.inductance / rig.resistance,
+        "constant": rig.ratio * rig.motor_constant,
+        "motor_inertia": rig.ratio**2 * rig.motor_inertia,
+        "motor_viscous": rig.ratio**2 * rig.motor_viscous,
+        "commutator_order": rig.ratio * rig.commutator_bars,
+    }
+    as_it_is = {name: value for name, value in asdict(rig).items() if name in _Plant._fields}
+    return _Plant(**(as_it_is | at_link | values))
 
 
 def simulate(

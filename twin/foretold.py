@@ -76,5 +76,5 @@ def by_chance(found: FloatArray) -> float:
     if len(told) < LEAST:
         return 1.0
     largest_first = told[np.argsort(-np.abs(told))]
-    in_a_row = int(np.argmin(largest_first > 0.0)) if (told < 0.0).any() else len(told)
+    in_a_row = int(np.argmin([*(largest_first > 0.0), False]))
     return min(1.0, 2.0 * min(float(wilcoxon(told, alternative="greater").pvalue), 0.5**in_a_row))

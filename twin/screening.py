@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
@@ -311,11 +310,11 @@ def _direct_start(
     # A valley may be narrow, and its walls are what a place beside it shows: the likeliest walk a little before they
     # are judged, and the likeliest of every choice that no walk changes.
     places.sort(key=lambda v: likelihood.evaluate(cases, structure, v, base.density).deviance)
-    choices: dict[tuple[float, ...], list[dict[str, float]]] = defaultdict(list)
+    first: dict[tuple[float, ...], dict[str, float]] = {}
     for place in places:
-        choices[tuple(v for n, v in place.items() if n not in free)].append(place)
-    first = [alike[0] for alike in choices.values()]
-    near = [*first, *(place for place in places if place not in first)][: max(_CLOSELY, len(first))]
+        first.setdefault(tuple(v for n, v in place.items() if n not in free), place)
+    rest = [place for place in places if place not in first.values()]
+    near = [*first.values(), *rest[: max(_CLOSELY - len(first), 0)]]
     points = [likelihood.climb(cases, structure, v, base.density, free, rounds=_STEPS, tolerance=1.0) for v in near]
     found = likelihood.climb_on(cases, min(points, key=lambda p: p.deviance), rounds=_MORE, tolerance=1.0)
     return base.deviance - found.deviance + _promised(found), found.values
