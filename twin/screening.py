@@ -159,7 +159,21 @@ def grids(
         ]
     for effect in _PHASED:
         out[effect] += [_followed(missing, effect, row) for row in out[effect]]
-    return out
+    return {effect: _sided(rows, structure, values, effect) for effect, rows in out.items()}
+
+
+def _sided(
+    rows: Sequence[dict[str, float]], structure: Structure, values: Mapping[str, float], effect: str
+) -> list[dict[str, float]]:  # fmt: skip
+    """The rows, each with the effect on the link and on the motor where that is open.
+
+    Which side of the gap a torque acts on decides how it is crossed: from the wrong one, or from half of it on each, no
+    slope leads to the other.
+    """
+    shares = [p.name for p in structure.with_(effect).parameters if p.acts_on == EFFECTS[effect].slot]
+    for name in (n for n in shares if n not in values):
+        rows = [{**row, name: side} for row in rows for side in (0.0, 1.0)]
+    return list(rows)
 
 
 #: Torques whose phase a step from nothing may get wrong: they begin where they follow the missing torque, too.
