@@ -21,8 +21,8 @@ from twin.likelihood import Case, Point
 
 FloatArray = NDArray[np.float64]
 
-#: Torques may be pieces of one curve where together they vary by less than this share of what each of the two largest
-#: does: two that have nothing to do with each other happen to do so once in ten times.
+#: Torques may be pieces of one curve where together they are at some place less stiff than this share of what each of
+#: the two stiffest is: two that have nothing to do with each other happen to do so once in ten times.
 CANCELLED = 0.5
 #: Where the torques act that a curve over a variable may stand for.
 SLOTS: Mapping[str, tuple[str, ...]] = {"position": ("load", "shaft"), "velocity": ("drag",)}
@@ -116,9 +116,13 @@ def _torques(ids: Sequence[str], point: Point, at: FloatArray, variable: str = "
 
 
 def _left_over(cases: Sequence[Case], last: Point, ids: Sequence[str]) -> float:
-    """By what share of what the second largest of these torques does all together vary where the axis was."""
-    torques = _torques(ids, last, _along(cases, last, "position"))
-    return float(torques.sum(axis=0).std()) / max(float(np.sort(torques.std(axis=1))[-2]), 1e-300)
+    """What these torques leave of their stiffness where they cancel most, as a share of what the second largest has."""
+    moved = _along(cases, last, "position")
+    at = np.linspace(moved.min(), moved.max(), len(moved))
+    stiff = np.diff(_torques(ids, last, at), axis=1)
+    both = stiff.sum(axis=0)
+    least = float(np.min(both * np.sign(np.median(both))))
+    return abs(least) / max(float(np.sort(np.abs(stiff).max(axis=1))[-2]), 1e-300)
 
 
 def one_curve(cases: Sequence[Case], first: Structure, last: Point) -> Redrawn | None:
@@ -134,9 +138,9 @@ def one_curve(cases: Sequence[Case], first: Structure, last: Point) -> Redrawn |
     # The knots' price speaks for names, whatever they are: what counts is whether these fit better.
     more = (curve.deviance - last.deviance) / compare.worth([curve, last])
     says = (
-        f"{_titles(ids)} would fit, but cancel each other: together they vary by {100.0 * left:.0f} % of what either "
-        "does, and one curve over the position does as well. It may be all of them, or one thing of another shape, as "
-        "a spring that stiffens: a wider travel would tell."
+        f"{_titles(ids)} would fit, but cancel each other: about one place they are together no more than "
+        f"{100.0 * left:.0f} % as stiff as either is, and one curve over the position does as well. It may be all of "
+        "them, or one thing of another shape, as a spring that stiffens: a wider travel would tell."
     )
     return None if more > compare.LEAST else Redrawn(ids, curve, says)
 
