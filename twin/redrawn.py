@@ -22,7 +22,7 @@ from twin.likelihood import Case, Point
 FloatArray = NDArray[np.float64]
 
 #: Torques may be pieces of one curve where together they are at some place less stiff than this share of what each of
-#: the two stiffest is: two that have nothing to do with each other happen to do so once in ten times.
+#: the two stiffest is: two whose strengths differ by up to ten times either way happen to do so once in six times.
 CANCELLED = 0.5
 #: Where the torques act that a curve over a variable may stand for.
 SLOTS: Mapping[str, tuple[str, ...]] = {"position": ("load", "shaft"), "velocity": ("drag",)}
