@@ -86,6 +86,20 @@ def test_what_is_left_is_what_algebra_leaves():
     assert torques.sum(axis=0) == pytest.approx(-4.8 * (at - np.sin(at)))
 
 
+@pytest.mark.parametrize("travel", [1.0, 5.0])
+@pytest.mark.parametrize("strength", [0.5, 0.8, 1.0, 1.3])
+def test_what_is_left_of_their_stiffness_is_what_it_is_where_they_cancel_most(monkeypatch, travel, strength):
+    """However far the axis goes on from there: gravity's is largest against the spring where it stands on its head, and
+    that place a hanging pendulum passes on a long travel only."""
+    monkeypatch.setattr(redrawn, "_along", lambda cases, last, variable: np.linspace(-travel, travel, 2001))
+    hanging = 1.0 if travel > np.pi else -np.cos(travel)
+    for begin, most in ((AGAINST, 1.0), (WITH, hanging)):
+        values = VALUES | begin | {"gravity_gain": 4.8 * strength}
+        both = Point(BOTH, values, 1.0, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+        left = abs(1.0 - strength * most) / min(strength, 1.0)
+        assert redrawn._left_over([], both, ("gravity", "spring")) == pytest.approx(left, abs=0.01)
+
+
 @pytest.mark.parametrize(
     ("values", "largest", "drawn"),
     [
