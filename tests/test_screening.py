@@ -103,7 +103,7 @@ def test_a_torque_is_looked_for_on_the_motor_and_on_the_link(effect, law, share)
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_a_torque_that_dead_bands_had_taken_over_is_found_on_its_own_side_of_the_gap(share) -> None:
-    """Half on either side it promises an eighth of what it does on the motor, and climbs to the link."""
+    """Half on either side it promises a tenth of what it does on the motor, and climbs to the link."""
     structure = ready.base_structure()
     values = {
         "input_gain": 0.089, "viscous_friction": 3.0, "dead_band_forward": 5.4, "dead_band_reverse": 5.8,

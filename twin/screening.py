@@ -170,10 +170,10 @@ def _sided(
     Which side of the gap a torque acts on decides how it is crossed: from the wrong one, or from half of it on each, no
     slope leads to the other.
     """
-    shares = [p.name for p in structure.with_(effect).parameters if p.acts_on == EFFECTS[effect].slot]
-    for name in (n for n in shares if n not in values):
-        rows = [{**row, name: side} for row in rows for side in (0.0, 1.0)]
-    return list(rows)
+    slot = EFFECTS[effect].slot
+    shares = [p.name for p in structure.with_(effect).parameters if p.acts_on == slot and p.name not in values]
+    sides = list(itertools.product((0.0, 1.0), repeat=len(shares)))
+    return [{**row, **dict(zip(shares, side, strict=True))} for row in rows for side in sides]
 
 
 #: Torques whose phase a step from nothing may get wrong: they begin where they follow the missing torque, too.
