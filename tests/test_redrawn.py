@@ -104,7 +104,7 @@ def test_what_is_left_of_their_stiffness_is_what_it_is_where_they_cancel_most(mo
     ("values", "largest", "drawn"),
     [
         (AGAINST, 12.0, True),  # over a short travel nothing tells them from a curve
-        (AGAINST, 25.0, False),  # over a long one they do more
+        (AGAINST, 40.0, False),  # over a long one they do more
         (WITH, 12.0, False),
     ],
 )

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from axis_runs import run, steps
-from scipy.interpolate import interp1d
+from scipy.interpolate import CubicHermiteSpline
 
 from twin import compare, extend, hold_out, identify, likelihood, locate, ready, unknown
 from twin.axis import Structure
@@ -69,8 +69,8 @@ def bump(at: np.ndarray) -> np.ndarray:
 SPOTS = np.linspace(-2.0, 4.0, KNOTS)
 PLANTED = through("unknown_position", SPOTS, bump(SPOTS))
 #: A bump that lies between two of so many even knots.
-NARROW = np.array([-6.0, -5.0, -4.0, -3.0, -2.0, -1.0, -0.7, -0.3, 0.1, 1.0, 2.0, 3.0])
-SHARP = through("unknown_position", NARROW, np.where(NARROW == -0.3, 4.0, 0.0))
+NARROW = np.array([-6.0, -4.0, -2.0, -0.9, -0.66, -0.48, -0.3, -0.12, 0.06, 0.3, 2.0, 3.0])
+SHARP = through("unknown_position", NARROW, 4.0 * np.exp(-(((NARROW + 0.3) / 0.3) ** 2)))
 #: Grease that warms: viscous friction that falls from 3 to 2 per second with a time constant of 8 s.
 TIMES = np.linspace(0.0, 30.0, KNOTS)
 WARMING = through("unknown_drag", TIMES, np.exp(-TIMES / 8.0))
@@ -96,15 +96,33 @@ def test_shapes_without_a_name_are_no_candidates():
     assert {f"unknown_{v}" for v in unknown.TERMS} == set(UNKNOWN)
 
 
-def test_line_goes_through_its_knots_and_on_as_it_ends():
+def drawn(values: dict[str, float], at: np.ndarray, prefix: str = "unknown_position") -> np.ndarray:
+    """The line with these parameters."""
+    return np.array([line(x, prefix, SimpleNamespace(**values)) for x in at])
+
+
+def test_line_goes_through_its_knots_without_a_corner_and_straight_on_as_it_ends():
     rng = np.random.default_rng(1)
     heights, places = rng.normal(size=KNOTS), -2.0 + np.cumsum(rng.uniform(0.1, 1.0, KNOTS))
     values, at = through("x", places, heights), np.linspace(-5.0, 8.0, 200)
     assert np.allclose(spots("x", values), places)
-    drawn = [line(x, "x", SimpleNamespace(**values)) for x in at]
-    assert np.allclose(drawn, interp1d(places, heights, fill_value="extrapolate")(at), atol=1e-12)
+    # At a knot the slope of the parabola through three, which NumPy fits; at an end through the last three.
+    three = [np.arange(i - 1, i + 2) for i in (1, *range(1, KNOTS - 1), KNOTS - 2)]
+    lean = [
+        np.polyval(np.polyder(np.polyfit(places[k], heights[k], 2)), x) for k, x in zip(three, places, strict=True)
+    ]
+    inside = np.clip(at, places[0], places[-1])
+    smooth = CubicHermiteSpline(places, heights, lean)(inside)
+    beyond = np.where(at < places[0], lean[0], lean[-1]) * (at - inside)
+    assert np.allclose(drawn(values, at, "x"), smooth + beyond, atol=1e-9)
     level = [held(x, "x", SimpleNamespace(**values)) for x in at]
-    assert np.allclose(level, np.interp(at, places, heights), atol=1e-12)
+    assert np.allclose(level, smooth, atol=1e-9)
+    assert np.allclose(unknown._weights(at, places) @ heights, smooth, atol=1e-9)
+
+
+def test_line_draws_a_parabola_as_it_is():
+    places, at = np.arange(KNOTS) ** 1.3, np.linspace(0.0, (KNOTS - 1.0) ** 1.3, 300)
+    assert np.allclose(drawn(through("x", places, places**2 - 3.0 * places), at, "x"), at**2 - 3.0 * at, atol=1e-9)
 
 
 def test_knots_that_saw_nothing_lie_on_the_line_of_their_neighbours():
@@ -123,8 +141,8 @@ def test_knots_lie_closer_where_a_curve_bends():
         assert unknown._where_it_bends(fine, alike) == pytest.approx(np.linspace(-3.0, 5.0, KNOTS), abs=1e-6)
     placed = unknown._where_it_bends(fine, bump(fine))
     assert placed[0] == fine[0] and placed[-1] == pytest.approx(fine[-1]) and np.all(np.diff(placed) > 0.0)
-    even, true = np.linspace(-3.0, 5.0, KNOTS), bump(np.linspace(-3.0, 5.0, 500))
-    misses = [np.std(np.interp(np.linspace(-3.0, 5.0, 500), at, bump(at)) - true) for at in (placed, even)]
+    even, at = np.linspace(-3.0, 5.0, KNOTS), np.linspace(-3.0, 5.0, 500)
+    misses = [np.std(drawn(through("unknown_position", k, bump(k)), at) - bump(at)) for k in (placed, even)]
     assert misses[0] < 0.5 * misses[1]
 
 
@@ -226,10 +244,10 @@ def test_bump_over_position_is_found_and_drawn():
     assert found.deviance < base.deviance - 200.0
     at = spots("unknown_position", found.values)
     heights = np.array([found.values[n] for n in names("unknown_position")])
-    truth = np.interp(at, SPOTS, bump(SPOTS))
+    truth = drawn(PLANTED, np.array(at))
     size = np.sqrt(np.diag(found.covariance) * found.scale)
     band = np.array([size[found.free.index(n)] if n in found.free else np.inf for n in names("unknown_position")])
-    # Straight lines between other knots than the planted ones miss the corners by a little beside the band.
+    # A line through other knots than the planted ones misses by a little beside the band.
     assert np.all(np.abs(heights - truth) < 4.0 * band + 0.35)
     assert np.abs(heights - truth)[np.isfinite(band)].max() < 0.3 * 3.0
     after = unknown.leftover(case, found.structure, found.values)
@@ -238,14 +256,13 @@ def test_bump_over_position_is_found_and_drawn():
 
 def test_a_bump_between_two_of_twelve_even_knots_is_drawn_better(monkeypatch: pytest.MonkeyPatch):
     case, base = fitted("sharp")
-    at = np.linspace(-1.0, 0.5, 100)
-    truth = np.interp(at, NARROW, [SHARP[n] for n in names("unknown_position")])
+    at = np.linspace(-0.9, 0.3, 100)
+    truth = drawn(SHARP, at)
     misses, deviances = [], []
     for placed in (unknown._where_it_bends, lambda fine, heights: np.linspace(fine[0], fine[-1], KNOTS)):
         monkeypatch.setattr(unknown, "_where_it_bends", placed)
         found = with_curve([case], base, Term("position"))
-        heights = [found.values[n] for n in names("unknown_position")]
-        misses.append(np.std(np.interp(at, spots("unknown_position", found.values), heights) - truth))
+        misses.append(np.std(drawn(found.values, at) - truth))
         deviances.append(found.deviance)
     assert misses[0] < 0.8 * misses[1] and deviances[0] < deviances[1] - 100.0
 

@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
 from twin import likelihood, locate, ready, valleys
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
-from twin.effects.knots import KNOTS, names, spots, through
+from twin.effects.knots import KNOTS, names, slopes, spots, through
 from twin.likelihood import Case, Point
 from twin.locate import Missing
 
@@ -297,16 +297,18 @@ FINE = 30
 _SEEN = 0.05
 
 
-def _hats(x: FloatArray, at: FloatArray) -> FloatArray:
-    """Each knot's weight (N, knots) at x."""
-    return np.column_stack([np.interp(x, at, one) for one in np.eye(len(at))])
+def _weights(x: FloatArray, at: FloatArray) -> FloatArray:
+    """What each knot's height does (N, knots) at x; level outside."""
+    each = np.eye(len(at))
+    lean = np.array(slopes(np.diff(at).tolist(), list(each)))
+    return np.asarray(CubicHermiteSpline(at, each, lean)(np.clip(x, at[0], at[-1])))
 
 
 def _where_it_bends(at: FloatArray, heights: FloatArray) -> FloatArray:
     """Where to put the knots (KNOTS,) of a line: half of them evenly, half where a finer one bends.
 
-    Straight lines miss a curve least where their knots lie as densely as the root of its second derivative (de Boor,
-    A Practical Guide to Splines, 1978, ch. III).
+    They lie as densely there as the root of its second derivative, where straight lines would miss a curve least (de
+    Boor, A Practical Guide to Splines, 1978, ch. III): a smooth one needs them at corners as much, and this bears noise.
     """
     dense = np.sqrt(np.pad(np.abs(np.diff(heights, 2)), 1, "edge"))
     steps = dense[1:] + dense[:-1]
@@ -370,8 +372,8 @@ def _first_line(
     between = (0.0, 1.0) if variable in ("time", "input") else (0.005, 0.995)
     low, high = (float(q) for q in np.quantile(x, between))
     fine = np.linspace(low, max(high, low + 1e-6), FINE)
-    at = _where_it_bends(fine, drawn(_hats(x, fine)))
-    columns = _hats(x, at)
+    at = _where_it_bends(fine, drawn(_weights(x, fine)))
+    columns = _weights(x, at)
     seen = columns.sum(axis=0) > _SEEN * len(x) / KNOTS
     free = tuple(n for n, s in zip(names(prefix), seen, strict=True) if s)
     return through(prefix, at.tolist(), drawn(columns).tolist()), free

@@ -1,4 +1,9 @@
-"""Straight lines between knots: the shape of what no other page describes."""
+"""A smooth line through knots: the shape of what no other page describes.
+
+Between two knots it is the cubic that has there the slopes of the parabolas through a knot and its neighbours (Bessel's
+interpolation: de Boor, A Practical Guide to Splines, 1978, ch. IV). Every height acts on four pieces at most, and what
+is a parabola is drawn as one.
+"""
 
 from __future__ import annotations
 
@@ -54,17 +59,31 @@ def seat(name: str, values: Mapping[str, float]) -> tuple[str, float] | None:
     return (start, spots(prefix, values)[int(number) - 1]) if start in values and number.isdigit() else None
 
 
+def slopes(widths: Sequence[Any], heights: Sequence[Any]) -> list[Any]:
+    """The slope at each knot: that of the parabola through it and its neighbours, at an end through the last three.
+
+    Heights may be numbers, expressions or arrays.
+    """
+    rise = [(b - a) / w for w, (a, b) in zip(widths, pairwise(heights), strict=True)]
+    bend = [(t - s) / (v + w) for (v, w), (s, t) in zip(pairwise(widths), pairwise(rise), strict=True)]
+    middle = [s + w * b for s, w, b in zip(rise, widths, bend, strict=False)]
+    return [rise[0] - widths[0] * bend[0], *middle, rise[-1] + widths[-1] * bend[-1]]
+
+
 def line(x: Any, prefix: str, p: Any) -> Any:
-    """The line through the knots at x; outside it goes on as it ends, as most torques do."""
+    """The line through the knots at x; outside it goes on straight as it ends, as most torques do."""
     heights = [getattr(p, n) for n in names(prefix)]
     between = [getattr(p, n) for n in widths(prefix)]
-    beyond, total, last = x - getattr(p, f"{prefix}_from"), heights[0], len(between) - 1
+    lean = slopes(between, heights)
+    beyond = x - getattr(p, f"{prefix}_from")
+    total = heights[0] + lean[0] * minimum(0.0, beyond)
     for i, width in enumerate(between):
-        part = beyond if i == 0 else maximum(0.0, beyond)
-        part = part if i == last else minimum(width, part)
-        total = total + (heights[i + 1] - heights[i]) / width * part
+        # What each piece adds to the one before, all of it beyond its end.
+        t, rise = maximum(0.0, minimum(1.0, beyond / width)), (heights[i + 1] - heights[i]) / width
+        one, other = lean[i], lean[i + 1]
+        total = total + width * t * (one + t * (3.0 * rise - 2.0 * one - other + t * (one + other - 2.0 * rise)))
         beyond = beyond - width
-    return total
+    return total + lean[-1] * maximum(0.0, beyond)
 
 
 def held(x: Any, prefix: str, p: Any) -> Any:
