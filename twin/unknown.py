@@ -308,7 +308,7 @@ def _where_it_bends(at: FloatArray, heights: FloatArray) -> FloatArray:
     """Where to put the knots (KNOTS,) of a line: half of them evenly, half where a finer one bends.
 
     They lie as densely there as the root of its second derivative, where straight lines would miss a curve least (de
-    Boor, A Practical Guide to Splines, 1978, ch. III): a smooth one needs them at corners as much, and this bears noise.
+    Boor, A Practical Guide to Splines, 1978, ch. III): a smooth one needs them at corners as much.
     """
     dense = np.sqrt(np.pad(np.abs(np.diff(heights, 2)), 1, "edge"))
     steps = dense[1:] + dense[:-1]
