@@ -6,8 +6,13 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
+import pytest
+from axis_runs import drive
+
 from twin import kernel
 from twin.axis import Structure
+from twin.effects.catalogue import BASE
 
 
 def test_threads_that_need_a_kernel_at_once_wait_for_the_first(monkeypatch, tmp_path):
@@ -30,3 +35,12 @@ def test_threads_that_need_a_kernel_at_once_wait_for_the_first(monkeypatch, tmp_
         loaded = list(pool.map(ask, range(4)))
     assert len(writing) == 1
     assert all(module is loaded[0] for module in loaded) and loaded[0].said == 1
+
+
+def test_no_derivative_is_given_for_what_is_never_fitted():
+    """A zero would look like a value that does not matter."""
+    structure = Structure.of((*BASE, "supply_sag"))
+    recording, values = drive(0.002 * np.arange(9), np.zeros(9)), {p.name: p.start for p in structure.parameters}
+    vector, start = kernel.vector(structure, values), kernel.start_state(0.0, 0.0, 0.0)
+    with pytest.raises(ValueError, match="sag_reference"):
+        kernel.predict_with_slopes(recording, vector, start, np.zeros((7, 2)), ("input_gain", "sag_reference"))

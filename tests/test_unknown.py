@@ -101,7 +101,7 @@ def drawn(values: dict[str, float], at: np.ndarray, prefix: str = "unknown_posit
     return np.array([line(x, prefix, SimpleNamespace(**values)) for x in at])
 
 
-def test_line_goes_through_its_knots_without_a_corner_and_straight_on_as_it_ends():
+def test_line_goes_through_its_knots_without_a_corner_and_straight_on_beyond():
     rng = np.random.default_rng(1)
     heights, places = rng.normal(size=KNOTS), -2.0 + np.cumsum(rng.uniform(0.1, 1.0, KNOTS))
     values, at = through("x", places, heights), np.linspace(-5.0, 8.0, 200)
@@ -113,7 +113,8 @@ def test_line_goes_through_its_knots_without_a_corner_and_straight_on_as_it_ends
     ]
     inside = np.clip(at, places[0], places[-1])
     smooth = CubicHermiteSpline(places, heights, lean)(inside)
-    beyond = np.where(at < places[0], lean[0], lean[-1]) * (at - inside)
+    chords = np.diff(heights) / np.diff(places)
+    beyond = np.where(at < places[0], chords[0], chords[-1]) * (at - inside)
     assert np.allclose(drawn(values, at, "x"), smooth + beyond, atol=1e-9)
     level = [held(x, "x", SimpleNamespace(**values)) for x in at]
     assert np.allclose(level, smooth, atol=1e-9)

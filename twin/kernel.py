@@ -263,8 +263,11 @@ def in_pieces(
 ) -> Iterator[tuple[slice, Prediction]]:
     """As `predict`, with the derivative with respect to the named parameters, at most so many stamps at a time.
 
-    `slope` (7, n) is the derivative of the initial state. Yields the stamps and what holds there.
+    `slope` (7, n) is the derivative of the initial state. Yields the stamps and what holds there. Raises ValueError
+    where a parameter is named that is never fitted.
     """
+    if never := tangent.NEVER.intersection(names):
+        raise ValueError(f"no derivative was written for what is never fitted: {', '.join(sorted(never))}")
     n, count = len(names), len(drive.time)
     blocks = max(-(-n // WIDTH), 1)
     carried = []

@@ -59,31 +59,34 @@ def seat(name: str, values: Mapping[str, float]) -> tuple[str, float] | None:
     return (start, spots(prefix, values)[int(number) - 1]) if start in values and number.isdigit() else None
 
 
-def slopes(widths: Sequence[Any], heights: Sequence[Any]) -> list[Any]:
-    """The slope at each knot: that of the parabola through it and its neighbours, at an end through the last three.
+def rises(widths: Sequence[Any], heights: Sequence[Any]) -> list[Any]:
+    """The slope of the chord from each knot to the next; heights may be numbers, expressions or arrays."""
+    return [(b - a) / w for w, (a, b) in zip(widths, pairwise(heights), strict=True)]
 
-    Heights may be numbers, expressions or arrays.
-    """
-    rise = [(b - a) / w for w, (a, b) in zip(widths, pairwise(heights), strict=True)]
+
+def slopes(widths: Sequence[Any], heights: Sequence[Any]) -> list[Any]:
+    """The slope at each knot: that of the parabola through it and its neighbours, at an end through the last three."""
+    rise = rises(widths, heights)
     bend = [(t - s) / (v + w) for (v, w), (s, t) in zip(pairwise(widths), pairwise(rise), strict=True)]
     middle = [s + w * b for s, w, b in zip(rise, widths, bend, strict=False)]
     return [rise[0] - widths[0] * bend[0], *middle, rise[-1] + widths[-1] * bend[-1]]
 
 
 def line(x: Any, prefix: str, p: Any) -> Any:
-    """The line through the knots at x; outside it goes on straight as it ends, as most torques do."""
+    """The line through the knots at x; outside it goes on, as most torques do, along the chord of its last piece: the
+    slope at an end is less sure, and a resistance that fell for long would drive.
+    """
     heights = [getattr(p, n) for n in names(prefix)]
     between = [getattr(p, n) for n in widths(prefix)]
-    lean = slopes(between, heights)
+    rise, lean = rises(between, heights), slopes(between, heights)
     beyond = x - getattr(p, f"{prefix}_from")
-    total = heights[0] + lean[0] * minimum(0.0, beyond)
-    for i, width in enumerate(between):
+    total = heights[0] + rise[0] * minimum(0.0, beyond)
+    for width, chord, (one, other) in zip(between, rise, pairwise(lean), strict=True):
         # What each piece adds to the one before, all of it beyond its end.
-        t, rise = maximum(0.0, minimum(1.0, beyond / width)), (heights[i + 1] - heights[i]) / width
-        one, other = lean[i], lean[i + 1]
-        total = total + width * t * (one + t * (3.0 * rise - 2.0 * one - other + t * (one + other - 2.0 * rise)))
+        t = maximum(0.0, minimum(1.0, beyond / width))
+        total = total + width * t * (one + t * (3.0 * chord - 2.0 * one - other + t * (one + other - 2.0 * chord)))
         beyond = beyond - width
-    return total + lean[-1] * maximum(0.0, beyond)
+    return total + rise[-1] * maximum(0.0, beyond)
 
 
 def held(x: Any, prefix: str, p: Any) -> Any:

@@ -23,6 +23,8 @@ _SHARED = ("x", "p", "k")
 
 #: Arguments of laws that never depend on a parameter.
 _FIXED_ARGUMENTS = frozenset({"direction", "moment", "payload"})
+#: Parameters that are never fitted: the text has no column for them.
+NEVER = frozenset(p.name for p in EVERYTHING.parameters if not p.estimated)
 
 
 def _symbolic(node: ast.expr) -> sympy.Expr:
@@ -184,7 +186,8 @@ def _law(slot: str, ids: list[str], numbers: dict[str, int]) -> str:
     for effect in ids:
         law = trace(effect)
         active = [(argument(a), f"d_{a}") for a in SLOTS[slot][0] if a not in _FIXED_ARGUMENTS]
-        active += [(s, f"row(pd, {numbers[s.name[2:]]})") for s in law.parameters]
+        fitted = (s for s in law.parameters if s.name[2:] not in NEVER)
+        active += [(s, f"row(pd, {numbers[s.name[2:]]})") for s in fitted]
         partials = [sympy.diff(law.expression, s) for s, _ in active]
         shared, results = sympy.cse([law.expression, *partials], sympy.numbered_symbols("s"))
         terms = _sum(zip(results[1:], (name for _, name in active), strict=True))
