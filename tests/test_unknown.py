@@ -158,7 +158,7 @@ def test_null_predicts_nothing():
 def test_of_several_recordings_the_one_that_lacks_most_decides():
     clean, point = fitted("nothing")
     lacking, _ = fitted("bump")
-    longer = replace(clean, drive=replace(clean.drive, time=1.01 * clean.drive.time))
+    longer = replace(clean, drive=replace(clean.drive, time=1.0001 * clean.drive.time))
     for cases, telling in (((longer, lacking), lacking), ((clean, longer), longer)):
         found = Search(point, point, (), cases)
         assert extend._telling(found)[0] is telling
