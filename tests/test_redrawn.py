@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -142,6 +143,28 @@ def test_a_name_stays_unless_its_law_is_not_what_is_there(effect, truth, values,
         assert found is not None and found.ids == (effect,)
         assert found.curve.structure == STRUCTURE.with_(f"unknown_{variable}")
         assert found.curve.deviance < last.deviance - 100.0
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [("spring", {"spring_stiffness": 4.8, "spring_rest": 0.3}), ("quadratic_drag", {"quadratic_drag": 0.05})],
+)
+def test_a_curve_does_what_the_names_do_where_its_sketch_is_led_astray(monkeypatch, effect, values):
+    """What the missing torque shows may be rattle; a spring and a drag are lines that twelve knots draw as they are."""
+    one = STRUCTURE.with_(effect)
+    cases = [likelihood.prepare(recorded(one, 25.0, **values), one)]
+    last = likelihood.fit(cases, one, ready.completed(one, VALUES | values), ready.free_parameters(one))
+    honest = redrawn.unknown.sketch
+
+    def misled(cases, base, term):
+        found = honest(cases, base, term)
+        wild = {n: 30.0 * (-1.0) ** i for i, n in enumerate(names(f"unknown_{term.kind}"))}
+        return replace(found, values=found.values | wild, free=base.free)
+
+    monkeypatch.setattr(redrawn.unknown, "sketch", misled)
+    variable = "position" if effect == "spring" else "velocity"
+    curve = redrawn._drawn(cases, last, [effect], variable)
+    assert curve.deviance < last.deviance + 20.0
 
 
 @pytest.mark.parametrize(("chance", "drawn"), [(0.001, True), (0.2, False)])

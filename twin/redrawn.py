@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from twin import compare, equations, explain, foretold, likelihood, locate, ready, unknown
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
+from twin.effects.knots import spots, through
 from twin.likelihood import Case, Point
 
 FloatArray = NDArray[np.float64]
@@ -50,11 +51,20 @@ def _titles(ids: Sequence[str]) -> str:
 
 
 def _drawn(cases: Sequence[Case], last: Point, ids: Sequence[str], variable: str) -> Point:
-    """The last model with a curve over the variable in the place of these effects, from what it lacks without them."""
+    """The last model with a curve over the variable in the place of these effects: from what it lacks without them, or
+    from what they do, where rattle hides that.
+    """
     structure = last.structure.without(*ids)
     values = ready.completed(structure, last.values)
     base = replace(last, structure=structure, values=values, free=tuple(n for n in last.free if n in values))
-    return unknown.finish(cases, unknown.sketch(cases, base, unknown.Term(variable)))
+    sketched = unknown.sketch(cases, base, unknown.Term(variable))
+    prefix = f"unknown_{variable}"
+    at = spots(prefix, sketched.values)
+    unit = through(prefix, at, np.ones(len(at)).tolist())
+    sense = _torques([prefix], replace(sketched, values=unit), np.zeros(1), variable)[0]
+    same = through(prefix, at, (sense * _torques(ids, last, np.array(at), variable).sum(axis=0)).tolist())
+    begun = replace(sketched, values={**ready.completed(sketched.structure, values), **same})
+    return min((unknown.finish(cases, p) for p in (sketched, begun)), key=lambda p: p.deviance)
 
 
 def _needed(cases: Sequence[Case], curve: Point, names: Sequence[str]) -> Point:
