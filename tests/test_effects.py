@@ -105,6 +105,19 @@ def test_switched_off_it_leaves_no_trace(effect):
             assert np.abs(on - plain).max() > 1e-6
 
 
+@pytest.mark.parametrize("effect", [e for e in EFFECTS.values() if e.law is not None], ids=lambda e: e.id)
+def test_a_law_along_a_run_is_the_law_at_every_place(effect):
+    rng = generator(effect.id)
+    states = {n: rng.normal(0.0, 30.0, 40) for n in SLOTS[effect.slot][0]}
+    values = sane(around(effect.id), rng)
+    each = [
+        effect.law(SimpleNamespace(**dict(zip(states, row, strict=True))), SimpleNamespace(**values))
+        for row in np.array(list(states.values())).T.tolist()
+    ]
+    assert equations.along(effect.id, states, values) == pytest.approx(each, rel=1e-9, abs=1e-9)
+    assert equations.along(effect.id, {next(iter(states)): np.zeros(3)}, values).shape == (3,)
+
+
 @every_effect
 def test_dissipative_effects_never_feed_energy(effect):
     if "dissipative" not in effect.promises:

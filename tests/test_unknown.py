@@ -208,6 +208,10 @@ def test_held_out_part_of_a_true_model_is_met_by_its_free_run(where):
     assert np.array_equal(shown[1].time, case.recording.time[held_out[0].inside])
     moved = np.ptp(case.recording.output)
     assert np.nanmax(np.abs(shown[1].after - shown[1].recorded)) < 0.02 * moved
+    # What was fitted is run by the kernel, also where nothing is read of it: through the FMU it is the same.
+    (again,) = hold_out.traces(truth, truth, [("holdout", hold_out.Part(train[0]))])
+    assert len(shown[0].after) == len(train[0].time)
+    assert np.abs(shown[0].after - again.after).max() < 1e-6 * moved
 
 
 def test_p_value_is_uniform_on_noise():

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from types import SimpleNamespace
 
+import numpy as np
 import sympy
+from numpy.typing import NDArray
 
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
@@ -43,6 +46,29 @@ def trace(effect_id: str) -> Trace:
     p = SimpleNamespace(**{s.name[2:]: s for s in parameters}, **others)
     expression = sympy.sympify(effect.law(q, p))
     return Trace(expression, arguments, parameters + tuple(others.values()))
+
+
+@cache
+def _vectorised(effect_id: str) -> Callable[..., NDArray[np.float64]]:
+    """The law as a function of arrays, arguments of the slot first, then parameters."""
+    law = trace(effect_id)
+    compiled: Callable[..., NDArray[np.float64]] = sympy.lambdify(
+        [*law.arguments, *law.parameters], law.expression, "numpy", dummify=True
+    )
+    return compiled
+
+
+def along(
+    effect_id: str, states: Mapping[str, NDArray[np.float64]], values: Mapping[str, float]
+) -> NDArray[np.float64]:
+    """What the law gives (N,) at these states (N,), by the names of the slot's arguments; all others are zero.
+
+    Raises ValueError as `trace` does.
+    """
+    law = trace(effect_id)
+    given = [states.get(s.name, 0.0) for s in law.arguments]
+    found = _vectorised(effect_id)(*given, *(values[s.name.removeprefix("p.")] for s in law.parameters))
+    return np.broadcast_to(found, np.broadcast(*states.values()).shape).astype(np.float64)
 
 
 def reads(effect_id: str) -> set[str]:

@@ -9,17 +9,18 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import locate, package, ready, unknown
+from twin import likelihood, locate, package, ready, unknown
 from twin.equations import timed
 from twin.finding import Trace
 from twin.likelihood import Case, Point
 from twin.locate import Missing
+from twin.loop import own_loop
 from twin.model import Model
 from twin.recording import Recording, driven
 
@@ -79,9 +80,17 @@ def _free_run(fmu: Path, part: Part, lead: float, closed: bool) -> np.ndarray:
     return seen
 
 
+def _rerun(model: Model, recording: Recording, closed: bool) -> np.ndarray:
+    """What the sensor reads over the whole recording, by the kernel."""
+    case = likelihood.prepare(recording, model.structure, closed)
+    (case,) = ready.with_steps([replace(case, start=package.start_of(recording))], model.structure)
+    seen = likelihood.states(case, model.structure, model.values, 0.0).reading
+    return seen[own_loop(recording).stamps] if closed else seen
+
+
 def traces(before: Model, after: Model, parts: Sequence[tuple[str, Part]], closed: bool = False) -> list[Trace]:
-    """Both models beside each part, whose role comes first, free-running through their FMUs, from the recorded input
-    or, `closed`, under the rig's own loop.
+    """Both models beside each part, whose role comes first, free-running from the recorded input or, `closed`, under
+    the rig's own loop: what is held out through their FMUs, what was fitted by the kernel, which they equal.
     """
     clocked = any(timed(m.structure) for m in (before, after))
     # Physics that depends on the time since the start must run from the start.
@@ -91,8 +100,11 @@ def traces(before: Model, after: Model, parts: Sequence[tuple[str, Part]], close
         fmus = [package.export(m, Path(folder) / f"{i}.fmu") for i, m in enumerate((before, after))]
         for role, part in parts:
             recording, inside = part.recording, part.inside
-            mine = Part(driven(recording), part.begin, part.end)
-            runs = [_free_run(fmu, mine, lead, closed) for fmu in fmus]
+            if role == "train":
+                runs = [_rerun(m, recording, closed) for m in (before, after)]
+            else:
+                mine = Part(driven(recording), part.begin, part.end)
+                runs = [_free_run(fmu, mine, lead, closed) for fmu in fmus]
             out.append(Trace(recording.name, role, recording.time[inside], recording.output[inside], *runs))
     return out
 

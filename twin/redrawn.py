@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,9 +119,7 @@ def outdone(cases: Sequence[Case], first: Structure, last: Point, variable: str)
 
 def _torques(ids: Sequence[str], point: Point, at: FloatArray, variable: str = "position") -> FloatArray:
     """The torque (effects, values) of each at each value of the variable that they follow from."""
-    p = SimpleNamespace(**point.values)
-    laws = [law for i in ids if (law := EFFECTS[i].law) is not None]
-    return np.array([[law(SimpleNamespace(**{variable: x}), p) for x in at.tolist()] for law in laws], dtype=float)
+    return np.array([equations.along(i, {variable: at}, point.values) for i in ids])
 
 
 def _left_over(cases: Sequence[Case], last: Point, ids: Sequence[str]) -> float:

@@ -11,12 +11,11 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import compare, likelihood, locate, ready
+from twin import compare, equations, likelihood, locate, ready
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.likelihood import Case, Point
@@ -71,18 +70,17 @@ def _heating(missing: Missing, values: Mapping[str, float], span: float) -> floa
 
 def _followed(missing: Missing, effect: str, row: Mapping[str, float]) -> dict[str, float]:
     """The row, with the size and phase at which the effect's law on link or shaft follows the missing torque best."""
-    page = EFFECTS[effect]
-    assert page.law is not None and page.screen is not None and page.screen.pair and page.screen.combine
+    screen = EFFECTS[effect].screen
+    assert screen is not None and screen.pair and screen.combine
     read = np.flatnonzero(np.isfinite(missing.torque) & np.isfinite(missing.position))
     at = read[np.linspace(0, len(read) - 1, min(_FOLLOWED, len(read))).astype(np.intp)]
-    name, *phases = page.screen.pair
-    places = [SimpleNamespace(position=x, time=t) for x, t in zip(missing.position[at], missing.time[at], strict=True)]
-    sizes = [SimpleNamespace(**{**row, page.screen.gain: 1.0, name: phase}) for phase in phases]
-    laws = [[page.law(q, p) for q in places] for p in sizes]
+    name, *phases = screen.pair
+    places = {"position": missing.position[at], "time": missing.time[at]}
+    laws = [equations.along(effect, places, {**row, screen.gain: 1.0, name: phase}) for phase in phases]
     columns = np.array([np.ones(len(at)), *laws]).T
     _, one, other = np.linalg.lstsq(columns, _clipped(missing.torque[at]), rcond=None)[0].tolist()
-    gain, phase = page.screen.combine(one, other)
-    return {**row, page.screen.gain: gain, name: phase}
+    gain, phase = screen.combine(one, other)
+    return {**row, screen.gain: gain, name: phase}
 
 
 def grids(
