@@ -70,6 +70,15 @@ def test_an_addition_is_judged_by_its_own_size():
         assert compare.ahead(after, before) == pytest.approx(1000.0 / 2.0 - 2.0 * compare.PRICE)
 
 
+def test_what_cannot_be_told_apart_has_the_say_of_what_is_known_of_it():
+    """Gain and dead-band under a command of one size: only their sum is known, and its slope repeats like the rest."""
+    twins = np.array([[1.0, 1.0 - 1e-15, 0.0], [1.0 - 1e-15, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    known = point(twins, 50.0 * np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 0.02]]))
+    assert compare.worth([known]) == pytest.approx(50.0)
+    errors = np.sqrt(np.diag(known.robust_covariance))
+    assert np.all(errors[:2] > 1e5) and errors[2] == pytest.approx(1.0)
+
+
 def test_what_leaves_no_trace_has_no_say():
     seen = np.diag([4.0, 2.0, 0.0])
     assert compare.worth([point(seen, 3.0 * seen)]) == pytest.approx(3.0)

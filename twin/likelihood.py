@@ -40,6 +40,8 @@ ROBUST_LIMIT = 4.0
 LEAST_READINGS = 2.0
 #: Stamps whose slopes are held at once: an hour at 2 ms has eighteen times as many.
 AT_ONCE = 100_000
+#: Information along a direction, over that of its parameters each by itself, below which nothing determines it.
+UNDETERMINED = 1e-12
 #: A unit of deviance worth so little says that the model errs.
 ERRS = 5.0
 #: A gradient that scatters by less than this share of what the information says is one of slopes that have run away.
@@ -207,11 +209,17 @@ class Point:
     @_unheeded()
     def covariance(self) -> FloatArray:
         """Of the free parameters; what cannot be seen gets a huge variance, not a small one."""
-        size = np.sqrt(np.maximum(np.diag(self.normal), 1e-300))
-        scaled = self.normal / np.outer(size, size)
-        eigenvalues, vectors = np.linalg.eigh(scaled)
-        inverse = (vectors / np.maximum(eigenvalues, 1e-12)) @ vectors.T
+        eigenvalues, vectors, size = self._directions
+        inverse = (vectors / np.maximum(eigenvalues, UNDETERMINED)) @ vectors.T
         return np.asarray(inverse / np.outer(size, size))
+
+    @cached_property
+    @_unheeded()
+    def _directions(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Eigenvalues (n,) and vectors (n, n) of the information, each parameter in units of its own (n,)."""
+        size = np.sqrt(np.maximum(np.diag(self.normal), 1e-300))
+        eigenvalues, vectors = np.linalg.eigh(self.normal / np.outer(size, size))
+        return eigenvalues, vectors, size
 
     @property
     @_unheeded()
@@ -222,15 +230,21 @@ class Point:
         says how far the maximum may have moved (White's sandwich, Econometrica 50, 1982). Innovations that a
         slightly wrong model leaves correlated make the second larger; each standard error is the larger of the two.
         """
-        wider = np.sqrt(np.maximum(self._excess, 1.0))
+        wider = np.sqrt(np.fmax(self._excess, 1.0))
         return np.asarray(self.covariance * np.outer(wider, wider))
 
     @cached_property
     @_unheeded()
     def _excess(self) -> FloatArray:
-        """Variances (n,) that the scatter of the slopes bears out, over those that the information promises."""
-        plain = self.covariance
-        return np.asarray(np.diag(plain @ self.scatter @ plain) / np.maximum(np.diag(plain), 1e-300))
+        """Variances (n,) that the scatter of the slopes bears out, over those that the information promises.
+
+        In directions that nothing determines, as gain and dead-band where the command knows one size, both are nothing
+        over nothing: what they leave a parameter is what counts, NaN where that is nothing.
+        """
+        eigenvalues, vectors, size = self._directions
+        known = eigenvalues > UNDETERMINED
+        plain = (vectors[:, known] / eigenvalues[known]) @ vectors[:, known].T / np.outer(size, size)
+        return np.asarray(np.diag(plain @ self.scatter @ plain) / np.diag(plain))
 
     @cached_property
     def traced(self) -> NDArray[np.bool_]:
