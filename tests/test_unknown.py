@@ -372,6 +372,14 @@ def test_dry_friction_that_leaves_little_keeps_its_name(monkeypatch, name, size,
     assert extend._outdone(Search(first, last, (), (case,)), nameless, what) is outdone
 
 
+def test_dry_friction_is_no_motor_that_varies_over_its_turn():
+    """However little it leaves: a curve over the speed follows friction's step, one of the motor's gain does not."""
+    case, first = fitted("gain")
+    last, nameless = with_name(case, first, "position_dependent_friction"), with_curve([case], first, Term("gain"))
+    what = [left(0.8, 0.0, 0.4), left(0.7, 0.0, 0.04)]
+    assert extend._outdone(Search(first, last, (), (case,)), nameless, what)
+
+
 @pytest.mark.parametrize(
     ("earned", "p_value", "outdone"), [(5.0, 1e-4, True), (5.0, 0.002, False), (-5.0, 1e-4, False)]
 )

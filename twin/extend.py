@@ -200,14 +200,16 @@ def _outdone(found: Search, nameless: Point, left: Sequence[unknown.Leftover]) -
     where nothing is named and that of the first plainly does, one that foretells need not do more than is its price.
     Every real friction departs a little from its name, and a curve that may take any shape follows it; but what else
     the name says, as that friction turns with the motion, the curve does not have. So names keep their place where they
-    grow again beside the curve and each still earns it there, and dry friction does that leaves little.
+    grow again beside the curve and each still earns it there, and dry friction does that leaves little, where the curve
+    is one over the speed: what varies a motor over its turn does as friction that varies would, but is none.
     """
     new = [EFFECTS[i] for i in found.last.structure.named if i not in found.first.structure]
     certain = not new and left[0].p_value < CERTAIN and compare.earned(found.last, nameless) > 0.0
     earns = compare.earns(found.last, nameless)
     if not (earns or certain):
         return False
-    if new and all(e.slot == "grip" for e in new) and left[1].size < DRY * left[0].size:
+    follows = "unknown_velocity" in nameless.structure and all(e.slot == "grip" for e in new)
+    if new and follows and left[1].size < DRY * left[0].size:
         return False
     goes = any(one.p_value < unknown.SURE for one in left) and explain.shows(found.cases, found.last, nameless)
     if not (goes and earns) and foretold.chance(found.cases, found.last, nameless) > foretold.SURE:
