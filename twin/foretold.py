@@ -28,8 +28,8 @@ FOLDS = 5
 #: What happens less often by chance is no chance.
 SURE = 0.005
 #: What would happen more often than this by chance speaks for nothing: six largest changes in a row are gains more
-#: often. In scripts/blind_trial.py names that were there came to as much once in 63 (seeds 93 and 9407; 69061 from 790,
-#: 71069 from 961), most of the last twenty to a thousandth of it. Loads, ripples and encoders off centre that were not
+#: often. In scripts/blind_trial.py names that were there came to as much once in 72 (seeds 93 and 9407; 69061 from 790,
+#: 71069 from 961), 27 of the last 29 to a thousandth of it. Loads, ripples and encoders off centre that were not
 #: came to 0.03, 0.09, 0.15, 0.25 and 0.4.
 IDLE = 0.03
 #: On fewer stretches nothing can be told.
