@@ -64,8 +64,8 @@ def test_page_is_complete(effect):
         assert p.lower <= p.start <= p.upper
         assert p.neutral is None or p.lower <= p.neutral <= p.upper
     if effect.screen:
-        paired = {effect.screen.pair[0]} if effect.screen.pair else set()
-        assert {effect.screen.gain, *effect.screen.grid, *paired} <= names
+        phased = {effect.screen.phase} if effect.screen.phase else set()
+        assert {effect.screen.gain, *effect.screen.grid, *phased} <= names
 
 
 def test_contract_ids_exist():

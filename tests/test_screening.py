@@ -176,7 +176,7 @@ def test_a_torque_begins_with_the_size_and_phase_that_what_is_missing_has(effect
     found = screening._followed(missing, effect, row)
     screen = EFFECTS[effect].screen
     assert found[screen.gain] == pytest.approx(size, abs=0.3 + 0.05 * size)
-    turned = size * np.exp(1j * phase), found[screen.gain] * np.exp(1j * found[screen.pair[0]])
+    turned = size * np.exp(1j * phase), found[screen.gain] * np.exp(1j * found[screen.phase])
     assert abs(turned[0] - turned[1]) < 0.3 + 0.05 * size
     assert row.items() <= found.items()
 

@@ -140,8 +140,8 @@ RULES: Mapping[str, Rule] = {
 
 def _bent(cases: Sequence[Case], point: Point) -> set[str]:
     """The effects of the fit that are no longer what their names say; of what has a phase also those without a size."""
-    pairs = {e.id: e.screen.pair for e in point.structure.effects if e.screen is not None}
-    flung = {effect for effect, pair in pairs.items() if pair is not None and not abs(point.values[pair[0]]) < FLUNG}
+    phases = {e.id: e.screen.phase for e in point.structure.effects if e.screen is not None}
+    flung = {effect for effect, phase in phases.items() if phase and not abs(point.values[phase]) < FLUNG}
     ruled = {effect for effect, rule in RULES.items() if effect in point.structure and not rule(cases, point.values)}
     return flung | ruled
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,16 +71,16 @@ def _heating(missing: Missing, values: Mapping[str, float], span: float) -> floa
 def _followed(missing: Missing, effect: str, row: Mapping[str, float]) -> dict[str, float]:
     """The row, with the size and phase at which the effect's law on link or shaft follows the missing torque best."""
     screen = EFFECTS[effect].screen
-    assert screen is not None and screen.pair and screen.combine
+    assert screen is not None and screen.phase and screen.combine
     read = np.flatnonzero(np.isfinite(missing.torque) & np.isfinite(missing.position))
     at = read[np.linspace(0, len(read) - 1, min(_FOLLOWED, len(read))).astype(np.intp)]
-    name, *phases = screen.pair
     places = {"position": missing.position[at], "time": missing.time[at]}
-    laws = [equations.along(effect, places, {**row, screen.gain: 1.0, name: phase}) for phase in phases]
+    unit = {**row, screen.gain: 1.0}
+    laws = [equations.along(effect, places, {**unit, screen.phase: phase}) for phase in (0.0, 0.25 * _TURN)]
     columns = np.array([np.ones(len(at)), *laws]).T
     _, one, other = np.linalg.lstsq(columns, _clipped(missing.torque[at]), rcond=None)[0].tolist()
     gain, phase = screen.combine(one, other)
-    return {**row, screen.gain: gain, name: phase}
+    return {**row, screen.gain: gain, screen.phase: phase}
 
 
 def grids(
@@ -214,6 +214,9 @@ def offered(cases: Sequence[Case], candidates: Sequence[str]) -> list[str]:
     return [e for e in candidates if e not in out]
 
 
+#: Size of what does nothing yet and has a phase.
+_SMALLEST = 1e-9
+
 #: Starts of such a candidate that are looked at closely, with derivatives; steps of each, and more of the likeliest.
 _CLOSELY, _STEPS, _MORE = 3, 2, 3
 
@@ -268,33 +271,19 @@ def _nested_starts(
     starts = []
     for trial in trials:
         values = ready.completed(structure, {**base.values, **unmoved, **trial})
-        phased = (screen.pair[0],) if screen.pair is not None and screen.gain in trial else ()
-        free = (*base.free, screen.gain, *phased, *companions)
-        if screen.pair is None or phased:
-            point = likelihood.evaluate(cases, structure, values, base.density, free)
-            step, promise = _score(base, point, (screen.gain, *phased, *companions))
-            promise += base.deviance - point.deviance
-            found = dict(zip(free, step.tolist(), strict=True))
-        else:
-            name, first, second = screen.pair
-            runs = [
-                likelihood.innovations(c, structure, {**values, name: phase}, base.density, free)
-                for phase in (first, second)
-                for c in cases
-            ]
-            one, two = runs[: len(cases)], runs[len(cases) :]
-            column = free.index(screen.gain)
-            merged = [
-                replace(a, slopes=np.column_stack([a.slopes, b.slopes[:, column]]))
-                for a, b in zip(one, two, strict=True)
-            ]
-            point = likelihood.weighed(cases, structure, values, base.density, (*free, "second"), merged)
-            step, promise = _score(base, point, (screen.gain, "second", *companions))
-            assert screen.combine is not None
-            n = len(base.free)
-            gain, values[name] = screen.combine(float(step[n]), float(step[n + 1]))
-            found = dict(zip(free, [*step[:n].tolist(), gain, *step[n + 2 :].tolist()], strict=True))
-        starts.append(Start(values, found, promise))
+        phased = () if screen.phase is None else (screen.phase,)
+        if screen.gain not in trial:
+            # Of no size at all it has no phase either; the smallest shows what both lead to.
+            values |= {screen.gain: _SMALLEST, **dict.fromkeys(phased, 0.0)} if phased else {}
+        news = (screen.gain, *phased, *companions)
+        point = likelihood.evaluate(cases, structure, values, base.density, (*base.free, *news))
+        step, promise = _score(base, point, news)
+        found = dict(zip(point.free, step.tolist(), strict=True))
+        if screen.phase and screen.combine and screen.gain not in trial:
+            gain, phase = screen.combine(found[screen.gain], _SMALLEST * found.pop(screen.phase))
+            values |= {screen.gain: 0.0, screen.phase: phase}
+            found[screen.gain] = gain
+        starts.append(Start(values, found, promise + base.deviance - point.deviance))
     return starts
 
 

@@ -34,13 +34,13 @@ SLOTS: Mapping[str, tuple[tuple[str, ...], str]] = {
 class Screen:
     """How to look for an effect before it is fitted.
 
-    `gain` is the parameter whose neutral value switches the effect off. Where the law also has a phase
-    or rest position, `pair` names it with the two values at which the pair of gains spans the law, and
-    `combine` turns the two gains into (gain, paired value). `grid` holds trial values of other parameters.
+    `gain` is the parameter whose neutral value switches the effect off. Where the law also has a phase or rest
+    position, `phase` names it, and `combine` turns how much of the law at phase zero there is, and how much of its
+    derivative by the phase, into (gain, phase). `grid` holds trial values of other parameters.
     """
 
     gain: str
-    pair: tuple[str, float, float] | None = None
+    phase: str | None = None
     combine: Callable[[float, float], tuple[float, float]] | None = None
     grid: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 

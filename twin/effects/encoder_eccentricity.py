@@ -32,5 +32,5 @@ EFFECT = Effect(
         "gravity": "constant speed at two speeds: the sensor's error scales with speed squared",
         "torque_ripple": "two constant speeds",
     },
-    screen=Screen("eccentricity", ("eccentricity_angle", 0.0, 1.5707963267948966), polar),
+    screen=Screen("eccentricity", "eccentricity_angle", polar),
 )

@@ -33,5 +33,5 @@ EFFECT = Effect(
         "encoder_eccentricity": "constant speed at two speeds: the sensor's error scales with speed squared",
         "spring": "travel over more than half a turn",
     },
-    screen=Screen("gravity_gain", ("gravity_angle", 0.0, 1.5707963267948966), polar),
+    screen=Screen("gravity_gain", "gravity_angle", polar),
 )

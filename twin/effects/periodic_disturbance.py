@@ -31,9 +31,5 @@ EFFECT = Effect(
     reference="Den Hartog, Mechanical Vibrations, 1956",
     confused_with={"torque_ripple": "run at two speeds: a ripple's frequency follows the speed"},
     substeps=2,
-    screen=Screen(
-        "disturbance",
-        ("disturbance_phase", 0.0, 1.5707963267948966),
-        polar,
-    ),
+    screen=Screen("disturbance", "disturbance_phase", polar),
 )

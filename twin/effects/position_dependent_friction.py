@@ -31,6 +31,6 @@ EFFECT = Effect(
     confused_with={
         "gravity": "pass each angle in both directions: gravity keeps its sign, friction turns it"
     },
-    screen=Screen("friction_variation", ("friction_angle", 0.0, 1.5707963267948966), polar),
+    screen=Screen("friction_variation", "friction_angle", polar),
     includes=("coulomb_friction",),
 )

@@ -31,5 +31,5 @@ EFFECT = Effect(
         "end_stop": "rest in mid-travel: a stop acts only beyond its angle",
         "gravity": "travel over more than half a turn",
     },
-    screen=Screen("spring_stiffness", ("spring_rest", 0.0, 1.0), affine),
+    screen=Screen("spring_stiffness", "spring_rest", affine),
 )

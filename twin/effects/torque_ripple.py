@@ -35,7 +35,7 @@ EFFECT = Effect(
     substeps=2,
     screen=Screen(
         "ripple_torque",
-        ("ripple_phase", 0.0, 1.5707963267948966),
+        "ripple_phase",
         polar,
         {"ripple_order": tuple(float(n) for n in range(2, 61))},
     ),
