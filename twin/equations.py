@@ -53,7 +53,7 @@ def _vectorised(effect_id: str) -> Callable[..., NDArray[np.float64]]:
     """The law as a function of arrays, arguments of the slot first, then parameters."""
     law = trace(effect_id)
     compiled: Callable[..., NDArray[np.float64]] = sympy.lambdify(
-        [*law.arguments, *law.parameters], law.expression, "numpy", dummify=True
+        [*law.arguments, *law.parameters], law.expression, "numpy", dummify=True, cse=True
     )
     return compiled
 

@@ -32,11 +32,12 @@ from numpy.typing import NDArray
 from twin.axis import EVERYTHING, KNOWN, STATES, Structure
 from twin.effects.catalogue import BASE, UNKNOWN
 from twin.effects.effect import SLOTS
-from twin.lanes import WIDTH
+from twin.lanes import PRECISION, WIDTH
 from twin.writers import drivers, tangent, weighing
 from twin.writers.python import Numbering, module, numbering, resolve
 
 FloatArray = NDArray[np.float64]
+Lanes = NDArray[np.float32]
 _LOOPS = (
     drivers.believing,
     drivers.spreading,
@@ -250,10 +251,10 @@ def predict(drive: Drive, p: FloatArray, x: FloatArray, noise: Noise = FREE, kee
     return Prediction(predicted, spread, pull, states, np.zeros((count, 0)))
 
 
-def _aligned(*shape: int) -> FloatArray:
-    """Room for numbers whose rows of `WIDTH` begin where the processor likes vectors to begin."""
+def _aligned(*shape: int) -> Lanes:
+    """Room for derivatives whose rows of `WIDTH` begin where the processor likes vectors to begin."""
     count = int(np.prod(shape))
-    room = np.empty(count + WIDTH)
+    room = np.empty(count + WIDTH, dtype=PRECISION)
     first = -(room.ctypes.data // room.itemsize) % WIDTH
     return room[first : first + count].reshape(shape)
 
@@ -288,7 +289,7 @@ def in_pieces(
         predicted, slopes = np.empty((blocks, 2, room)), _aligned(room, blocks, WIDTH)
 
         def run(
-            block: int, begin: int = begin, predicted: FloatArray = predicted, slopes: FloatArray = slopes
+            block: int, begin: int = begin, predicted: FloatArray = predicted, slopes: Lanes = slopes
         ) -> None:
             state, d_state, seed, covariance, command, d_command = carried[block]
             serving.predict_t(
@@ -304,8 +305,8 @@ def in_pieces(
                 list(pool.map(run, range(blocks)))
         reading, spread = predicted[0]
         none = np.zeros(0)
-        found = Prediction(reading, spread, none, np.zeros((0, len(STATES))), slopes.reshape(room, -1)[:, :n])
-        yield slice(begin, begin + room), found
+        own = slopes.reshape(room, -1)[:, :n].astype(float)
+        yield slice(begin, begin + room), Prediction(reading, spread, none, np.zeros((0, len(STATES))), own)
 
 
 def predict_with_slopes(

@@ -40,8 +40,9 @@ ROBUST_LIMIT = 4.0
 LEAST_READINGS = 2.0
 #: Stamps whose slopes are held at once: an hour at 2 ms has eighteen times as many.
 AT_ONCE = 100_000
-#: Information along a direction, over that of its parameters each by itself, below which nothing determines it.
-UNDETERMINED = 1e-12
+#: Information along a direction, over that of its parameters each by itself, below which nothing determines it: slopes
+#: are rounded to seven digits, which leaves 1e-13 where there is none.
+UNDETERMINED = 1e-10
 #: A unit of deviance worth so little says that the model errs.
 ERRS = 5.0
 #: A gradient that scatters by less than this share of what the information says is one of slopes that have run away.
@@ -520,7 +521,7 @@ def deviances(
 
 def solved(a: FloatArray, b: FloatArray) -> FloatArray:
     """The smallest solution of a x = b, which is there also where a parameter leaves no trace and a is singular."""
-    return np.asarray(np.linalg.lstsq(a, b, rcond=1e-14)[0])
+    return np.asarray(np.linalg.lstsq(a, b, rcond=UNDETERMINED)[0])
 
 
 def bounds_of(name: str) -> tuple[float, float]:
@@ -557,7 +558,7 @@ def _moved(point: Point, damping: float) -> dict[str, float]:
     least, most = low - here, high - here
     size = np.sqrt(np.maximum(np.diag(point.normal), 1e-300))
     scaled = point.normal / np.outer(size, size)
-    scaled[np.diag_indices_from(scaled)] += damping + 1e-12
+    scaled[np.diag_indices_from(scaled)] += damping + UNDETERMINED
     step, inside = np.zeros(len(here)), point.traced.copy()
     while inside.any():
         pull = point.gradient / size - scaled @ np.where(inside, 0.0, step * size)
