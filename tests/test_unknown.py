@@ -11,7 +11,7 @@ import pytest
 from axis_runs import run, steps
 from scipy.interpolate import CubicHermiteSpline
 
-from twin import compare, extend, hold_out, identify, likelihood, locate, ready, unknown
+from twin import compare, extend, foretold, hold_out, identify, likelihood, locate, ready, unknown
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, UNKNOWN
 from twin.effects.knots import KNOTS, held, line, names, spots, through
@@ -397,13 +397,15 @@ def test_a_name_that_two_stretches_speak_for_is_dropped(monkeypatch):
     case, first = fitted("drag")
     last = with_name(case, first, "quadratic_drag")
     found = Search(first, last, (), (case,), (first,))
-    assert extend._unforetold(found, first.structure) == []
-    assert extend._unforetold(replace(found, lesser=()), first.structure) == []
+    assert extend._chances(found, first.structure)["quadratic_drag"] < foretold.PLAIN
+    assert extend._chances(replace(found, lesser=()), first.structure) == {}
     rng = np.random.default_rng(2)
     lucky = np.concatenate([[300.0, 90.0], 10.0 * rng.standard_normal(40) - 2.0])
-    for gains, dropped in ((lucky, ["quadratic_drag"]), (lucky[:9], []), (np.abs(lucky), [])):
+    for gains, dropped in ((lucky, True), (lucky[:9], False), (np.abs(lucky), False)):
         monkeypatch.setattr(extend.foretold, "gains", lambda *a, gains=gains: gains)
-        assert extend._unforetold(found, first.structure) == dropped
+        lasting, _, chances = extend._lasting(found, first.structure)
+        assert (lasting.last.structure == first.structure) is dropped
+        assert set(chances) == (set() if dropped or len(gains) < foretold.LEAST else {"quadratic_drag"})
 
 
 @pytest.mark.parametrize(("key", "kept"), [("nothing", False), ("drag", True)])
@@ -414,7 +416,7 @@ def test_a_name_that_a_longer_memory_makes_nothing_of_is_not_given(key, kept):
         last = replace(last, values={**last.values, "quadratic_drag": 0.0})
     swap = Swap("quadratic_drag", "gravity", last)
     found = Search(first, last, (), (case,), (first,), (swap,))
-    lasting, (cases, point) = extend._lasting(found, first.structure)
+    lasting, (cases, point), _ = extend._lasting(found, first.structure)
     assert point.structure == lasting.last.structure and len(cases) == 1
     if kept:
         assert lasting is found
@@ -433,13 +435,15 @@ def test_names_that_leave_little_are_doubted_where_they_took_less_than_depends_o
     before = unknown.leftover(case, first.structure, first.values)
     size = before.size * np.sqrt(1.0 - took * before.share)
     little = replace(before, share=0.5 * extend.FAINT, size=float(size))
-    nameless = extend._nameless(found, before, little)
+    nameless = extend._nameless(found, before, little, {})
     assert ("unknown_velocity" in nameless.structure) is drawn
     assert drawn or nameless is first
 
 
-@pytest.mark.parametrize(("probability", "drawn"), [(0.95, False), (0.8, True)])
-def test_curves_are_drawn_beside_a_name_that_is_not_sure(monkeypatch, probability, drawn):
+@pytest.mark.parametrize(
+    ("probability", "chance", "drawn"), [(0.95, 1e-6, False), (0.8, 1e-6, True), (0.95, 1e-3, True)]
+)
+def test_curves_are_drawn_beside_a_name_that_is_not_sure(monkeypatch, probability, chance, drawn):
     case, first = fitted("drag")
     last = with_name(case, first, "quadratic_drag")
     monkeypatch.setattr(extend, "_probabilities", lambda found: ({"quadratic_drag": probability}, ()))
@@ -447,7 +451,7 @@ def test_curves_are_drawn_beside_a_name_that_is_not_sure(monkeypatch, probabilit
     little = replace(after, share=0.5 * extend.FAINT, size=0.0)
     tried = []
     monkeypatch.setattr(unknown, "finish", lambda cases, sketched: tried.append(sketched) or sketched)
-    extend._nameless(Search(first, last, (), (case,)), before, little)
+    extend._nameless(Search(first, last, (), (case,)), before, little, {"quadratic_drag": chance})
     assert bool(tried) is drawn
 
 
@@ -458,7 +462,7 @@ def test_gap_and_teeth_are_looked_for_anew_only_beside_curves_that_come_near_the
     moved = []
     monkeypatch.setattr(unknown, "relocated", lambda cases, point: moved.append(point) or point)
     before = unknown.leftover(case, first.structure, first.values)
-    extend._nameless(Search(first, last, (), (case,)), before, before)
+    extend._nameless(Search(first, last, (), (case,)), before, before, {})
     assert bool(moved) is relocated
 
 

@@ -40,8 +40,8 @@ from twin.search import UNSURE, Progress, Search
 from twin.unknown import Term
 from twin.writers import latex
 
-#: So many shapes without a name are drawn to the end; none where names likelier than this leave a smaller share of the
-#: missing torque and took away what depends on the state, or more.
+#: So many shapes without a name are drawn to the end; none where names likelier than this, which plainly foretell,
+#: leave a smaller share of the missing torque and took away what depends on the state, or more.
 SKETCHES, LIKELY, FAINT = 3, 0.9, 0.1
 #: Dry friction that leaves a smaller share of the missing torque than this keeps its name: no machine's follows a law
 #: exactly, and a curve over the speed follows it wherever it departs.
@@ -148,18 +148,19 @@ def _undecided(found: Search) -> tuple[Undecided, ...]:
     return tuple(sorted(out, key=lambda u: -u.probabilities[1]))
 
 
-def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover) -> Point:
+def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover, chances: Mapping[str, float]) -> Point:
     """The first model with the term of no known shape that serves it best; by itself where the names leave it nothing.
 
-    `before` and `after` are what the first model and the last one lack. The names may have shown the first model's own
-    parameters a better place.
+    `before` and `after` are what the first model and the last one lack, `chances` by which the names foretell. The
+    names may have shown the first model's own parameters a better place.
     """
     first, last = found.first, found.last
     bases, left = [first], [before]
     if last.structure != first.structure:
         named, _ = _probabilities(found)
         likely = all(named[e] > LIKELY for e in last.structure.named if e not in first.structure)
-        if likely and after.share < FAINT and unknown.removed(before, after) >= before.share:
+        plain = all(chance < foretold.PLAIN for chance in chances.values())
+        if likely and plain and after.share < FAINT and unknown.removed(before, after) >= before.share:
             return first
         bases.append(replace(first, values={n: last.values.get(n, v) for n, v in first.values.items()}))
         left.append(after)
@@ -271,36 +272,40 @@ def _idle(cases: Sequence[Case], sharp: Point, first: Structure) -> list[str]:
     return out
 
 
-def _unforetold(found: Search, first: Structure) -> list[str]:
-    """The names beyond the first model without which what a name was not fitted to would be foretold as well: bounces
-    that happened to fall its way earned it its place.
+def _chances(found: Search, first: Structure) -> dict[str, float]:
+    """By what chance each name beyond the first model would foretell as well were there nothing to it: bounces that
+    happened to fall its way may have earned it its place. Names of which too little is known to tell have none.
     """
-    out = []
+    out = {}
     for effect in (i for i in found.last.structure.named if i not in first):
         without = [q for q in found.lesser if effect not in q.structure]
         if without:
             gains = foretold.gains(found.cases, min(without, key=lambda q: q.deviance), found.last)
             # A few seconds tell nothing either way.
-            if np.count_nonzero(gains) >= foretold.LEAST and foretold.by_chance(gains) > foretold.IDLE:
-                out.append(effect)
+            if np.count_nonzero(gains) >= foretold.LEAST:
+                out[effect] = foretold.by_chance(gains)
     return out
 
 
-def _lasting(found: Search, first: Structure) -> tuple[Search, tuple[list[Case], Point]]:
+def _lasting(found: Search, first: Structure) -> tuple[Search, tuple[list[Case], Point], dict[str, float]]:
     """The search without the names of its last model that foretell nothing, and those that a filter makes nothing of
-    which remembers for as long as that model bears: what is there acts for longer than a bounce. And what that filter
-    foresees.
+    which remembers for as long as that model bears: what is there acts for longer than a bounce. What that filter
+    foresees, and by what chance the names that last would foretell as well were there nothing to them.
     """
-    foreseen = _foreseeing(found)
-    while idle := _idle(*foreseen, first) or _unforetold(found, first):
+    while True:
+        foreseen = _foreseeing(found)
+        idle, chances = _idle(*foreseen, first), dict[str, float]()
+        if not idle:
+            chances = _chances(found, first)
+            idle = [effect for effect, chance in chances.items() if chance > foretold.IDLE]
+        if not idle:
+            return found, foreseen, chances
         last = found.last
         less = last.structure.without(*idle)
         last = valleys.settle(found.cases, less, foreseen[1].values, valleys.kept(last), last.density)
         lesser = tuple(q for q in found.lesser if len(q.structure.named) < len(less.named))
         swaps = tuple(w for w in found.swaps if w.effect in less)
         found = replace(found, last=last, lesser=lesser, swaps=swaps)
-        foreseen = _foreseeing(found)
-    return found, foreseen
 
 
 def _next(found: Search) -> Experiment:
@@ -366,13 +371,13 @@ def diagnose(
         clock = now
 
     train, held_out, found, said = _searched(recordings, first, held, candidates, progress)
-    found, foreseen = _lasting(found, first)
+    found, foreseen, chances = _lasting(found, first)
     seen = found.last
     lap("search")
     case, lacking = _telling(found)
     left = [lacking, unknown.leftover(case, found.last.structure, found.last.values)]
     tell("trying shapes without a name", 0.85)
-    nameless = _nameless(found, *left)
+    nameless = _nameless(found, left[0], left[1], chances)
     learned = _learned(found, nameless)
     if learned is not found:
         found, left[1] = learned, unknown.leftover(case, learned.last.structure, learned.last.values)
