@@ -243,3 +243,15 @@ def test_while_an_axis_is_pushed_dead_bands_that_differ_may_be_a_constant_torque
     # What does not differ by more than is known needs no torque.
     even = dict.fromkeys(("dead_band_forward", "dead_band_reverse"), 5.0)
     assert not search._levelled(cases, replace(last, values=last.values | even), ("constant_offset",))
+
+
+def test_a_rival_in_a_lesser_valley_does_not_speak_for_what_contains_it() -> None:
+    """Friction over a turn brings plain friction along; from where it ended the plain one does as much."""
+    plain, wider = "coulomb_friction", "position_dependent_friction"
+    winner = Hypothesis((wider,), point(1000.0, wider))
+    this = Round(point(3000.0), (winner, Hypothesis((plain,), point(2500.0, plain))), 1.0)
+    assert search._overtook([this], plain, wider) == [winner.point]
+    bettered = search._bettered(this, point(1010.0, plain))
+    assert [h.deviance for h in bettered.rivals] == [1000.0, 1010.0]
+    assert search._overtook([bettered], plain, wider) == []
+    assert search._bettered(this, point(2600.0, plain)).rivals == this.rivals

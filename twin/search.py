@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from twin import ascent, compare, explain, likelihood, meetings, ready, screening, valleys
 from twin.axis import Structure
@@ -109,6 +109,7 @@ def _grown(
             break
         winner, best = this.rivals[0].point, _plainer(cases, this, held)
         known = [] if best is winner else [this.rivals[0]]
+        rounds[-1] = _bettered(this, best)
     return best, rounds
 
 
@@ -320,6 +321,15 @@ def _levelled(cases: Sequence[Case], last: Point, candidates: Sequence[str]) -> 
     found = min(fits, key=lambda p: p.deviance)
     level = abs(found.values[sides[1]] - found.values[sides[0]]) < 0.5 * abs(differ)
     return [Swap("dead_band", "constant_offset", found)] if level and compare.ahead(last, found) < UNSURE else []
+
+
+def _bettered(this: Round, found: Point) -> Round:
+    """The round, with a better fit of the rival that has this structure: one that ended in a lesser valley would say
+    that what contains it does more.
+    """
+    better = [h.point.structure == found.structure and found.deviance < h.deviance for h in this.rivals]
+    rivals = (Hypothesis(h.added, found) if b else h for h, b in zip(this.rivals, better, strict=True))
+    return replace(this, rivals=tuple(rivals))
 
 
 def _plainer(cases: Sequence[Case], this: Round, held: Mapping[str, float]) -> Point:
