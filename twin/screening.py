@@ -272,17 +272,17 @@ def _nested_starts(
     for trial in trials:
         values = ready.completed(structure, {**base.values, **unmoved, **trial})
         phased = () if screen.phase is None else (screen.phase,)
-        if screen.gain not in trial:
+        if phased and screen.gain not in trial:
             # Of no size at all it has no phase either; the smallest shows what both lead to.
-            values |= {screen.gain: _SMALLEST, **dict.fromkeys(phased, 0.0)} if phased else {}
+            values |= {screen.gain: _SMALLEST, phased[0]: 0.0}
         news = (screen.gain, *phased, *companions)
         point = likelihood.evaluate(cases, structure, values, base.density, (*base.free, *news))
         step, promise = _score(base, point, news)
         found = dict(zip(point.free, step.tolist(), strict=True))
-        if screen.phase and screen.combine and screen.gain not in trial:
-            gain, phase = screen.combine(found[screen.gain], _SMALLEST * found.pop(screen.phase))
-            values |= {screen.gain: 0.0, screen.phase: phase}
-            found[screen.gain] = gain
+        if phased and screen.gain not in trial:
+            assert screen.combine is not None
+            found[screen.gain], phase = screen.combine(found[screen.gain], _SMALLEST * found.pop(phased[0]))
+            values |= {screen.gain: 0.0, phased[0]: phase}
         starts.append(Start(values, found, promise + base.deviance - point.deviance))
     return starts
 
