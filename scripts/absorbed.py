@@ -1,4 +1,4 @@
-"""What of that which a blind study hid is left once the first model's own numbers are chosen anew?
+"""What of that which a blind study hid is left once numbers are chosen anew: the first model's, or those of an answer?
 
     python scripts/blind_trial.py --trials 20 --seed 1 --json trials.jsonl
     python scripts/absorbed.py trials.jsonl --json absorbed.jsonl
@@ -7,62 +7,104 @@ The study calls an effect visible that changes how an axis travels by three time
 gives way may be a smaller gain, and a constant torque dead-bands that differ: what a first model takes over leaves no
 error, and nobody can find it in one. So for each visible effect the simulator itself is asked for the gain, friction,
 dead-bands, gap and shares with which the rig, without the effect, comes nearest to what it does with it
-(`concealed.unabsorbed`); what is then left, over what noise leaves, is printed, and the study's tables with it. The
-tool has no part in this. Trials that the second file has already are not computed again.
+(`concealed.unabsorbed`); what is then left, over what noise leaves, is printed, and the study's tables with it. Where
+the answer was not what is there, the simulator is asked, too, how near the rig comes with what was named in its place,
+at any size (`concealed.unanswered`): an answer that leaves as little as noise does is not to be told from the truth by
+how the axis travels. The tool has no part in this. Trials that the second file has already are not computed again.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import multiprocessing
 import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from blind_trial import KINDS, UNKNOWN, VISIBLE, Label, Outcome, draw, read, share
-from concealed import unabsorbed
+from blind_trial import KINDS, UNKNOWN, VISIBLE, Outcome, draw, read, share
+from concealed import Trip, unabsorbed, unanswered
 from simulators import SIMULATORS
 
+#: So often are the numbers of what was named drawn, at sizes between these shares of the concealed one.
+DRAWS, LEAST, LARGEST = 40, 0.03, 3.0
 
-def left(label: Label) -> tuple[float, ...]:
-    """What each effect of a trial leaves. Raises ValueError where the trial was drawn among other kinds or rigs."""
+
+@dataclass(frozen=True)
+class Left:
+    """Of one trial, over what noise leaves: what each effect leaves beside a first model, and what the answer leaves.
+
+    NaN for an answer that is right, or names what the simulator does not know.
+    """
+
+    each: tuple[float, ...]
+    answer: float
+
+
+def right(o: Outcome) -> bool:
+    """Whether the answer is what is there."""
+    return o.first_right if o.label.kind == "outside" else o.exact
+
+
+def left(o: Outcome) -> Left:
+    """What is left in a trial. Raises ValueError where it was drawn among other kinds or rigs."""
+    label, source = o.label, SIMULATORS[o.label.simulator]
     drawn = draw(label.seed, label.trial, tuple(KINDS), label.duration, label.simulator)
     if drawn.label != label:
         raise ValueError(f"trial {label.trial} of seed {label.seed} is drawn otherwise here")
-    simulate = SIMULATORS[label.simulator].simulate
-    return tuple(unabsorbed(simulate, drawn.rig, [e], drawn.time, drawn.duty, drawn.noise_seed) for e in drawn.effects)
+    trip, rig = Trip(source.simulate, drawn.time, drawn.duty, drawn.noise_seed), drawn.rig
+    answer = math.nan
+    if not right(o) and o.answer.names <= set(source.VOCABULARY):
+        rng, size = np.random.default_rng(label.trial), max(e.size for e in label.effects)
+        begun = [
+            [
+                source.draw_effect(rng, name, rig, size * LEAST * (LARGEST / LEAST) ** rng.uniform(), label.duration)
+                for name in sorted(o.answer.names)
+            ]
+            for _ in range(DRAWS)
+        ]
+        answer = unanswered(trip, rig, drawn.effects, begun)
+    return Left(tuple(unabsorbed(trip, rig, [e]) for e in drawn.effects), answer)
 
 
-def known(path: Path) -> dict[str, tuple[float, ...]]:
+def known(path: Path) -> dict[str, Left]:
     """What was computed before, by seal."""
     if not path.exists():
         return {}
     rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    return {row["seal"]: tuple(row["left"]) for row in rows}
+    return {row["seal"]: Left(tuple(row["left"]), float(row["answer"])) for row in rows}
 
 
-def summary(outcomes: Sequence[Outcome], remains: Mapping[str, tuple[float, ...]]) -> str:
-    """The study's shares among trials in which every effect leaves enough, and among those in which one does not."""
+def summary(outcomes: Sequence[Outcome], remains: Mapping[str, Left]) -> str:
+    """The study's shares among trials in which every effect leaves enough, and among those in which one does not; and
+    what the answers leave that are not what is there.
+    """
     lines = [f"visible: every effect changes at least {VISIBLE:g} times what noise does; and of that"]
     for what, enough in ((f"at least {VISIBLE:g} is left", True), ("less is left", False)):
-        own = [o for o in outcomes if o.seal in remains and (min(remains[o.seal]) >= VISIBLE) is enough]
+        own = [o for o in outcomes if o.seal in remains and (min(remains[o.seal].each) >= VISIBLE) is enough]
         for kind in ("single", "pair"):
             these = [o for o in own if o.label.kind == kind]
             lines.append(f"{f'{kind}, {what}, first name right':48} {share([o.first_right for o in these])}")
             lines.append(f"{f'{kind}, {what}, exact set':48} {share([o.exact for o in these])}")
         unknown = [o.answer.first == UNKNOWN for o in own if o.label.kind == "outside"]
         lines.append(f"{f'outside, {what}, recognised as unknown':48} {share(unknown)}")
-    lines += ["", "visible and not exact: visibility, what is left"]
+    wrong = [remains[o.seal].answer < VISIBLE for o in outcomes if o.seal in remains and not right(o)]
+    lines.append(f"{'not exact, the answer leaves less than that':48} {share(wrong)}")
+    lines += ["", "visible and not exact: visibility, what is left; answer, what it leaves"]
     for o in outcomes:
-        if o.seal in remains and not (o.exact or (o.label.kind == "outside" and o.answer.first == UNKNOWN)):
-            pairs = zip(o.label.effects, remains[o.seal], strict=True)
-            told = ", ".join(f"{e.id} {e.visibility:.3g} {rest:.2g}" for e, rest in pairs)
+        if o.seal in remains and not right(o):
+            rest = remains[o.seal]
+            pairs = zip(o.label.effects, rest.each, strict=True)
+            told = ", ".join(f"{e.id} {e.visibility:.3g} {r:.2g}" for e, r in pairs)
             said = " + ".join(i for i, _ in o.answer.findings) or o.answer.first
-            lines.append(f"{o.label.simulator} {o.label.trial}: {told}; said {said}")
+            lines.append(f"{o.label.simulator} {o.label.trial}: {told}; said {said} {rest.answer:.2g}")
     return "\n".join(lines)
 
 
@@ -80,10 +122,10 @@ def main(arguments: list[str] | None = None) -> None:
     open_ = [o for o in outcomes if o.visible and o.label.effects and o.seal not in remains]
     with ProcessPoolExecutor(given.processes, multiprocessing.get_context("spawn")) as pool:
         try:
-            for o, found in zip(open_, pool.map(left, [o.label for o in open_]), strict=True):
+            for o, found in zip(open_, pool.map(left, open_), strict=True):
                 remains[o.seal] = found
                 with given.json.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps({"seal": o.seal, "left": found}) + "\n")
+                    file.write(json.dumps({"seal": o.seal, "left": found.each, "answer": found.answer}) + "\n")
         except ValueError as error:
             pool.shutdown(cancel_futures=True)
             parser.error(str(error))

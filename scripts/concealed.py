@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,8 @@ from scipy.optimize import least_squares
 Array = NDArray[np.float64]
 
 THIN = 10  # every so manieth stamp is compared: windows overlap
-ROUNDS = 4  # times that the rig's own numbers are moved
+ROUNDS = 8  # times that the rig's own numbers are moved
+NEAREST = 2  # places from which that is begun where something else stands for an effect
 
 
 @dataclass(frozen=True)
@@ -67,36 +68,73 @@ def visibility(
     return travel_change(changed) / max(travel_change(other), 0.5)
 
 
-def unabsorbed(
-    simulate: Callable[..., Any],
-    rig: Any,
-    effects: Sequence[Concealed],
-    time: Array,
-    duty: Array,
-    seed: int,
-    window: float = 0.5,
-) -> float:
+def _grown(effects: Sequence[Concealed], ratios: Iterator[float]) -> list[Concealed]:
+    """The effects with every number that is not zero, a carrier's too, times the next of the ratios."""
+    out = []
+    for e in effects:
+        carrier = None if e.carrier is None else _grown([e.carrier], ratios)[0]
+        numbers = {n: v * next(ratios) if v else v for n, v in e.parameters.items()}
+        out.append(Concealed(e.id, numbers, carrier))
+    return out
+
+
+def _numbers(effects: Sequence[Concealed]) -> int:
+    """How many numbers `_grown` moves."""
+    return sum(sum(map(bool, e.parameters.values())) for e in (*effects, *_carriers(effects)))
+
+
+@dataclass(frozen=True)
+class Trip:
+    """How far a rig comes within each window, s, under a command (N,) with one run of the noise."""
+
+    simulate: Callable[..., Any]
+    time: Array
+    duty: Array
+    seed: int
+    window: float = 0.5
+
+    def travel(self, rig: Any, effects: Sequence[Concealed], seed: int) -> Array:
+        """In counts."""
+        position = self.simulate(rig, effects, self.time, self.duty, seed).position
+        return _travel(position, self.time, self.window)[::THIN] * rig.counts_per_revolution / (2.0 * np.pi)
+
+    def noise(self, rig: Any, effects: Sequence[Concealed]) -> float:
+        """RMS of what another run of the noise changes, in counts; half a count at least."""
+        return max(_size(self.travel(rig, effects, self.seed + 1) - self.travel(rig, effects, self.seed)), 0.5)
+
+    def least(self, rig: Any, changed: Array, fixed: Sequence[Concealed], loose: Sequence[Concealed]) -> float:
+        """RMS, in counts, of what is left of `changed` once the rig's `own` numbers and those of the `loose` effects
+        are chosen anew, by least squares from what they are. A search that ends early leaves more, so that this is the
+        most that it can be.
+        """
+        own = dict(rig.own)
+
+        def left(ratios: Array) -> Array:
+            each = iter(ratios.tolist())
+            moved = rig.with_(**{n: value * next(each) for n, (value, _) in own.items()})
+            return self.travel(moved, [*fixed, *_grown(loose, each)], self.seed) - changed
+
+        most = [limit / value for value, limit in own.values()] + _numbers(loose) * [np.inf]
+        found = least_squares(
+            left, np.ones(len(most)), bounds=(0.01, most), x_scale="jac", diff_step=1e-3, max_nfev=ROUNDS
+        )  # fmt: skip
+        return _size(found.fun)
+
+
+def unabsorbed(trip: Trip, rig: Any, effects: Sequence[Concealed]) -> float:
     """What the effects change over what noise does, where the rig's `own` numbers are chosen anew without them.
 
     A gain that is smaller does most of what a supply does that gives way, and only what it does not do is left for a
-    first model to show. The numbers are found by least squares from those of the rig; a search that ends early leaves
-    more, so that this is the most that it can be.
+    first model to show.
     """
     carriers = _carriers(effects)
-    count = 2.0 * np.pi / rig.counts_per_revolution
+    return trip.least(rig, trip.travel(rig, effects, trip.seed), carriers, ()) / trip.noise(rig, carriers)
 
-    def travel(rig: Any, effects: Sequence[Concealed], seed: int = seed) -> Array:
-        return _travel(simulate(rig, effects, time, duty, seed).position, time, window)[::THIN] / count
 
-    noise = max(_size(travel(rig, carriers, seed + 1) - travel(rig, carriers)), 0.5)
-    changed, own = travel(rig, effects), dict(rig.own)
-
-    def left(ratios: Array) -> Array:
-        moved = {n: value * r for (n, (value, _)), r in zip(own.items(), ratios.tolist(), strict=True)}
-        return (travel(rig.with_(**moved), carriers) - changed) / noise
-
-    most = [limit / value for value, limit in own.values()]
-    found = least_squares(
-        left, np.ones(len(own)), bounds=(0.01, most), x_scale="jac", diff_step=1e-3, max_nfev=ROUNDS
-    )  # fmt: skip
-    return _size(found.fun)
+def unanswered(trip: Trip, rig: Any, effects: Sequence[Concealed], answers: Sequence[Sequence[Concealed]]) -> float:
+    """What the effects change over what noise does, where others stand in their place: of `answers`, which are the same
+    effects at other numbers, the nearest few, with these numbers and the rig's `own` chosen anew.
+    """
+    changed = trip.travel(rig, effects, trip.seed)
+    nearest = sorted(answers, key=lambda a: _size(trip.travel(rig, a, trip.seed) - changed))[:NEAREST]
+    return min(trip.least(rig, changed, (), a) for a in nearest) / trip.noise(rig, _carriers(effects))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -16,9 +17,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import absorbed
 import circuit_rig
 import concealed
-from absorbed import left, main, summary
+from absorbed import Left, left, main, summary
 from blind_trial import Answer, Label, Outcome, Planted, draw, seal, write
-from concealed import Concealed, unabsorbed, visibility
+from concealed import Concealed, Trip, unabsorbed, unanswered, visibility
 from excitations import EXCITATIONS, FREE
 from simulators import SIMULATORS
 
@@ -51,15 +52,16 @@ def test_a_torque_that_dead_bands_may_be_is_taken_over_and_a_shake_is_not() -> N
     for id, parameters in of.items():
         effects = [Concealed(id, parameters)]
         seen[id] = visibility(circuit_rig.simulate, rig, effects, time, duty, 7)
-        kept[id] = unabsorbed(circuit_rig.simulate, rig, effects, time, duty, 7)
+        kept[id] = unabsorbed(Trip(circuit_rig.simulate, time, duty, 7), rig, effects)
     assert min(seen.values()) > 3.0
     assert kept["constant_offset"] < 0.1 * seen["constant_offset"]
     assert kept["periodic_disturbance"] > 0.7 * seen["periodic_disturbance"]
 
 
-def test_what_is_left_is_that_of_a_linear_oracle(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_left_is_that_of_a_linear_oracle() -> None:
     """An axis that only runs at a speed, with a gain of its own: of a change along the gain nothing is left, of one
-    across it all, and of one at an angle its sine."""
+    across it all, and of one at an angle its sine. What stands in its place takes what lies in its plane, at any size.
+    """
     rng = np.random.default_rng(0)
     time = 0.002 * np.arange(2000)
     along, across, noise = (np.cumsum(rng.standard_normal(len(time))) for _ in range(3))
@@ -84,11 +86,22 @@ def test_what_is_left_is_that_of_a_linear_oracle(monkeypatch: pytest.MonkeyPatch
         return (x[250:] - x[:-250])[:: concealed.THIN]
 
     a, b, n = travel(along), travel(across), travel(0.1 * noise)
+    trip, helps = Trip(simulate, time, time, 1), [Concealed("y", {"along": 0.1, "across": 0.1})]
+    no_help = [Concealed("y", {"along": 0.1, "across": 0.0})]
     for one, other in ((0.3, 0.0), (0.0, 0.4), (0.2, 0.4)):
-        got = unabsorbed(simulate, Rig(), [Concealed("x", {"along": one, "across": other})], time, time, 1)
+        planted = [Concealed("x", {"along": one, "across": other})]
         rest = other * (b - a * (a @ b) / (a @ a))
         want = np.sqrt(np.mean(rest**2)) / max(np.sqrt(np.mean(n**2)), 0.5)
-        assert got == pytest.approx(want, rel=1e-3, abs=1e-6)
+        assert unabsorbed(trip, Rig(), planted) == pytest.approx(want, rel=1e-3, abs=1e-6)
+        assert unanswered(trip, Rig(), planted, [no_help]) == pytest.approx(want, rel=1e-3, abs=1e-6)
+        assert unanswered(trip, Rig(), planted, [no_help, helps]) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_carrier_grows_with_what_it_carries() -> None:
+    carried = Concealed("x", {"a": 2.0, "none": 0.0}, Concealed("y", {"b": 3.0}))
+    assert concealed._numbers([carried]) == 2
+    (grown,) = concealed._grown([carried], iter([10.0, 100.0]))
+    assert grown == Concealed("x", {"a": 200.0, "none": 0.0}, Concealed("y", {"b": 30.0}))
 
 
 def test_each_visible_trial_is_computed_once(tmp_path, monkeypatch, capsys) -> None:
@@ -112,7 +125,7 @@ def test_a_trial_that_is_drawn_otherwise_is_refused(tmp_path, monkeypatch, capsy
     one = next(o for o in (opened(trial=t) for t in range(3, 9)) if o.visible)
     other = replace(one.label, trial=one.label.trial + 1)
     with pytest.raises(ValueError, match="is drawn otherwise here"):
-        left(other)
+        left(replace(one, label=other))
     write(tmp_path / "trials.jsonl", replace(one, label=other, seal=seal(other, "salt")))
     monkeypatch.setattr(absorbed, "ProcessPoolExecutor", lambda *_: ThreadPoolExecutor(1))
     with pytest.raises(SystemExit) as stopped:
@@ -129,8 +142,19 @@ def test_the_tables_divide_by_what_is_left() -> None:
         return Outcome(own, "s", seal(own, "s"), Answer("explained", ((said, 0.9),), 1.0, 0.1, 1.0), 0.1)
 
     right, wrong, hidden = answered(0, "gravity"), answered(1, "spring"), answered(2, "spring")
-    text = summary([right, wrong, hidden], {right.seal: (5.0,), wrong.seal: (4.0,), hidden.seal: (0.5,)})
+    remains = {right.seal: Left((5.0,), math.nan), wrong.seal: Left((4.0,), 3.5), hidden.seal: Left((0.5,), 0.4)}
+    text = summary([right, wrong, hidden], remains)
     rows = {row[:48].strip(): row[49:] for row in text.splitlines()}
     assert rows["single, at least 3 is left, exact set"].startswith("50.0 % (1 of 2")
     assert rows["single, less is left, exact set"].startswith("0.0 % (0 of 1")
-    assert "circuit 2: gravity 9 0.5; said spring" in text and "circuit 0" not in text
+    assert rows["not exact, the answer leaves less than that"].startswith("50.0 % (1 of 2")
+    assert "circuit 2: gravity 9 0.5; said spring 0.4" in text and "circuit 0" not in text
+
+
+def test_an_answer_that_names_too_much_leaves_little_and_a_wrong_one_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(absorbed, "KINDS", ("single",))
+    asked = (opened(trial=t, said="motor_lag") for t in range(200))
+    wrong = next(o for o in asked if o.label.names == ("gravity",) and o.visible)
+    both = (*wrong.answer.findings, ("gravity", 0.5))
+    more = replace(wrong, answer=replace(wrong.answer, findings=both))
+    assert left(more).answer < 0.3 * left(wrong).answer
