@@ -11,5 +11,11 @@ from typing import Any
 import circuit_rig
 import gearmotor_rig
 import mujoco_rig
+import textbook_rig
 
-SIMULATORS: dict[str, Any] = {"mujoco": mujoco_rig, "circuit": circuit_rig, "gearmotor": gearmotor_rig}
+SIMULATORS: dict[str, Any] = {
+    "mujoco": mujoco_rig,
+    "circuit": circuit_rig,
+    "gearmotor": gearmotor_rig,
+    "textbook": textbook_rig,
+}
