@@ -24,11 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from twin import extend, fitting, identify, likelihood, package, phrases, ready, recording
+from twin import extend, fitting, hold_out, identify, phrases, recording
 from twin.axis import Structure
 from twin.finding import Diagnosis
 from twin.likelihood import Point
-from twin.loop import own_loop
 from twin.model import Model
 
 FloatArray = NDArray[np.float64]
@@ -46,13 +45,7 @@ def _errors(found: Diagnosis, which: str) -> Errors:
 
 def _run(model: Model, recordings: Sequence[recording.Recording], closed: bool = False) -> Errors:
     """The same for a model of its own, by the kernel (which the FMU equals), from the recorded start."""
-    found = []
-    for r in recordings:
-        case = likelihood.prepare(r, model.structure, closed)
-        (case,) = ready.with_steps([replace(case, start=package.start_of(r))], model.structure)
-        error = -likelihood.innovations(case, model.structure, model.values, 0.0).error
-        found.append((r.name, error[own_loop(r).stamps] if closed else error))
-    return found
+    return [(r.name, hold_out.rerun(model, r, closed) - r.output) for r in recordings]
 
 
 def _rms(errors: Sequence[FloatArray]) -> float:

@@ -80,8 +80,10 @@ def _free_run(fmu: Path, part: Part, lead: float, closed: bool) -> np.ndarray:
     return seen
 
 
-def _rerun(model: Model, recording: Recording, closed: bool) -> np.ndarray:
-    """What the sensor reads over the whole recording, by the kernel."""
+def rerun(model: Model, recording: Recording, closed: bool = False) -> np.ndarray:
+    """What the sensor reads (N,) over the whole recording, free from its start or, `closed`, under the rig's own loop,
+    by the kernel. Raises BadInput where that loop is not known.
+    """
     case = likelihood.prepare(recording, model.structure, closed)
     (case,) = ready.with_steps([replace(case, start=package.start_of(recording))], model.structure)
     seen = likelihood.states(case, model.structure, model.values, 0.0).reading
@@ -101,7 +103,7 @@ def traces(before: Model, after: Model, parts: Sequence[tuple[str, Part]], close
         for role, part in parts:
             recording, inside = part.recording, part.inside
             if role == "train":
-                runs = [_rerun(m, recording, closed) for m in (before, after)]
+                runs = [rerun(m, recording, closed) for m in (before, after)]
             else:
                 mine = Part(driven(recording), part.begin, part.end)
                 runs = [_free_run(fmu, mine, lead, closed) for fmu in fmus]
