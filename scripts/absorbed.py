@@ -30,10 +30,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from blind_trial import KINDS, UNKNOWN, VISIBLE, Outcome, draw, read, share
-from concealed import Trip, unabsorbed, unanswered
+from concealed import Concealed, Trip, unabsorbed, unanswered
 from simulators import SIMULATORS
 
-#: So often are the numbers of what was named drawn, at sizes between these shares of the concealed one.
+#: So often is what was named and is not there drawn, at sizes between these shares of the concealed one.
 DRAWS, LEAST, LARGEST = 40, 0.03, 3.0
 
 
@@ -63,13 +63,14 @@ def left(o: Outcome) -> Left:
     answer = math.nan
     if not right(o) and o.answer.names <= set(source.VOCABULARY):
         rng, size = np.random.default_rng(label.trial), max(e.size for e in label.effects)
-        begun = [
-            [
-                source.draw_effect(rng, name, rig, size * LEAST * (LARGEST / LEAST) ** rng.uniform(), label.duration)
-                for name in sorted(o.answer.names)
-            ]
-            for _ in range(DRAWS)
-        ]
+        there = {e.id: e for e in drawn.effects}
+
+        def begin(name: str) -> Concealed:
+            """What is there as it is there, anything else as it may be."""
+            share = LEAST * (LARGEST / LEAST) ** rng.uniform()
+            return there.get(name) or source.draw_effect(rng, name, rig, share * size, label.duration)
+
+        begun = [[begin(name) for name in sorted(o.answer.names)] for _ in range(DRAWS)]
         answer = unanswered(trip, rig, drawn.effects, begun)
     return Left(tuple(unabsorbed(trip, rig, [e]) for e in drawn.effects), answer)
 
