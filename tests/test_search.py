@@ -536,6 +536,68 @@ def test_a_lost_round_is_looked_at_with_a_filter_that_forgets_sooner(monkeypatch
     assert explain.again((), idle, CANDIDATES, {}) is idle
 
 
+def test_a_lost_round_is_looked_at_with_a_filter_that_remembers_longer_than_the_model_is_right(monkeypatch) -> None:
+    recording = Recording("none", 0.002 * np.arange(500), np.zeros(500), np.zeros(500), "%", "rad", 1e-4)
+    cases = [likelihood.prepare(recording, Structure.of(BASE))]
+    short, long = (likelihood.density_of(cases[0], memory) for memory in (valleys.MEMORY, explain.LONG))
+    before, asked = replace(fitted(0.0), density=short), {"density": 4.0 * short}
+    lost = explain.Round(before, (hypothesis(-10.0, "spring"),), 1.0, False)
+    plain, seen = hypothesis(-2.0 * explain.PLAIN, "spring"), []
+
+    def contest(cases, base, candidates):
+        assert base.density == long and set(candidates) == set(explain.SLOW)
+        return seen
+
+    def compete(cases, base, known, candidates, held):
+        assert list(known) == seen and set(candidates) == set(explain.SLOW)
+        return explain.Round(base, tuple(known), 1.0, True)
+
+    monkeypatch.setattr(valleys, "settle", lambda *given: replace(before, density=given[-1]))
+    monkeypatch.setattr(likelihood, "best_density", lambda cases, structure, values, around: asked["density"])
+    monkeypatch.setattr(explain, "contest", contest)
+    monkeypatch.setattr(explain, "compete", compete)
+    seen[:] = [plain]
+    found = explain.slower(cases, lost, CANDIDATES, {})
+    assert found.won and found.rivals == (plain,) and found.before.density == long
+    # What any filter with so long a memory may see by chance is nothing.
+    seen[:] = [hypothesis(-0.8 * explain.PLAIN, "spring")]
+    assert explain.slower(cases, lost, CANDIDATES, {}) is lost
+    # A round that is won, no slow torque on offer, a memory as long, a model that is right for longer: nothing to ask.
+    monkeypatch.setattr(explain, "contest", None)
+    won, longest = replace(lost, won=True), replace(lost, before=replace(before, density=long))
+    assert explain.slower(cases, won, CANDIDATES, {}) is won
+    assert explain.slower(cases, lost, ("torque_ripple",), {}) is lost
+    assert explain.slower(cases, longest, CANDIDATES, {}) is longest
+    asked["density"] = 0.9 * short
+    assert explain.slower(cases, lost, CANDIDATES, {}) is lost
+
+
+@pytest.mark.parametrize("stiffness", [3e-4, 0.0])
+def test_a_slow_torque_is_found_beside_a_fast_one_that_nobody_looks_for(monkeypatch, stiffness: float) -> None:
+    """A shaking that is no candidate drowns within a tenth of a second what a weak spring does."""
+    rng, count = np.random.default_rng(21), 2.0 * np.pi / 16384.0
+    plain = Structure.of(["inertia", "viscous_friction", "dead_band"])
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
+    there = {"disturbance": 4.0, "disturbance_frequency": 15.0, "disturbance_phase": 0.3}
+    there |= {"spring_stiffness": stiffness, "spring_rest": 0.5}
+    time = 0.002 * np.arange(15000)
+    duty = steps(rng, len(time), 300, 40.0)
+    y, _ = run(plain.with_("spring", "periodic_disturbance"), values | there, time, duty)
+    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
+    before = valleys.settle(cases, plain, values, {}, likelihood.density_of(cases[0], valleys.MEMORY))
+    candidates = ("spring", "thermal_fade")
+    lost = explain.compete(cases, before, (), candidates, {})
+    assert not lost.won
+    # As if something faster still kept the filter that a recording asks for short.
+    monkeypatch.setattr(likelihood, "best_density", lambda cases, structure, values, around: 2.0 * around)
+    found = explain.slower(cases, lost, candidates, {})
+    if stiffness == 0.0:
+        assert found is lost
+    else:
+        assert found.won and found.rivals[0].added == ("spring",)
+        assert found.rivals[0].point.values["spring_stiffness"] == pytest.approx(stiffness, rel=0.1)
+
+
 def test_a_valley_of_the_bounces_is_left_by_way_of_shorter_memories(monkeypatch) -> None:
     """From the same place a filter that remembers for long would stay where it is."""
     recording = Recording("none", 0.002 * np.arange(500), np.zeros(500), np.zeros(500), "%", "rad", 1e-4)
@@ -573,6 +635,7 @@ def test_no_more_effects_than_that_are_looked_for(monkeypatch, alone: int, effec
     monkeypatch.setattr(explain, "compete", compete)
     monkeypatch.setattr(explain, "beyond", beyond)
     monkeypatch.setattr(explain, "again", lambda cases, this, candidates, held: this)
+    monkeypatch.setattr(explain, "slower", lambda cases, this, candidates, held: this)
     monkeypatch.setattr(valleys, "rejudged", lambda cases, point, held: point)
     monkeypatch.setattr(valleys, "relocated", lambda cases, point, held: point)
     monkeypatch.setattr(search, "_plainer", lambda cases, this, held: this.rivals[0].point)

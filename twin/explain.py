@@ -11,7 +11,8 @@ its lack has led the model astray. The best few are fitted with everything else,
 their optimum before they are compared, so that a badly converged model makes no discovery.
 
 A round that is lost although some rivals do a little is looked at from a third place, with a filter that forgets before
-a bounce ends (`again`), and for two effects that earn a place only together (`beyond`).
+a bounce ends (`again`), and for two effects that earn a place only together (`beyond`); and where a model is right for
+a moment only, for slow torques with one that remembers for longer (`slower`).
 """
 
 from __future__ import annotations
@@ -49,6 +50,10 @@ WHITE = 2.0
 #: What is there shows to filters that forget so many times as fast, too, each twice as fast as the one before, down to
 #: this memory, s; of what it does to the likelihood a slow torque keeps this share when the memory is halved.
 FASTER, BRIEFEST, KEPT = (2.0, 4.0), 0.02, 1.0 / 16.0
+#: Torques that change no faster than the axis moves; the memory of a filter that looks for them once no other finds
+#: anything, s; and the units that one has to earn there: bounces that such a filter does not forget have earned 34.
+SLOW = ("constant_offset", "gravity", "spring", "quadratic_drag", "thermal_fade", "supply_sag")
+LONG, PLAIN = 0.4, 5.0 * compare.LEAST
 #: Units that make a filter sure of what the next one, which forgets faster, can know too little of.
 SURE = 0.5 * compare.LEAST
 
@@ -312,6 +317,28 @@ def again(cases: Sequence[Case], this: Round, candidates: Sequence[str], held: M
         return this
     found = _from_brief(cases, this.before, candidates, held)
     return _judged(cases, this.before, list(_best(cases, this.before, [*this.rivals, *found]).values()), held)
+
+
+def slower(cases: Sequence[Case], this: Round, candidates: Sequence[str], held: Mapping[str, float]) -> Round:
+    """A lost round once more, for slow torques, with a filter that remembers for longer than the model is right: what
+    they do in a tenth of a second drowns in what the model has wrong there, and grows with the square of the time.
+
+    The round as it is where the filter remembers for as long as the recording asks for, and where nothing does so much
+    more that the errors of a long memory cannot have done it.
+    """
+    before, longer = this.before, likelihood.density_of(cases[0], LONG)
+    slow = [c for c in candidates if c in SLOW]
+    if this.won or not slow or before.density <= longer:
+        return this
+    mine = ready.with_steps(cases, before.structure)
+    if likelihood.best_density(mine, before.structure, before.values, around=before.density) <= before.density:
+        return this
+    before = valleys.settle(cases, before.structure, before.values, held, longer)
+    seen = contest(cases, before, slow)
+    if not any(compare.earned(before, h.point) > PLAIN for h in seen):
+        return this
+    found = compete(cases, before, seen, slow, held)
+    return found if found.won and compare.earned(found.before, found.rivals[0].point) > PLAIN else this
 
 
 def beyond(

@@ -102,7 +102,7 @@ def _grown(
         best = moved if plausible(cases, moved, best) else best
         this = explain.again(cases, explain.compete(cases, best, known, open_, held), open_, held)
         more = () if this.won or len(rounds) + 2 > MOST else explain.beyond(cases, this, open_, held)
-        rounds += more or [this]
+        rounds += more or [explain.slower(cases, this, open_, held)]
         this = rounds[-1]
         if not this.won:
             best = this.before

@@ -48,7 +48,7 @@ def rejudged(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> 
     """The maximum at the noise density that the model asks for, now that it lacks less."""
     mine = ready.with_steps(cases, point.structure)
     likeliest = likelihood.best_density(mine, point.structure, point.values, around=point.density)
-    density = min(likelihood.density_of(cases[0], MEMORY), likeliest)
+    density = min(likelihood.density_of(cases[0], MEMORY), likeliest, point.density)
     if 1.0 / ALIKE < density / point.density < ALIKE:
         return point
     return settle(cases, point.structure, point.values, held, density)
