@@ -70,7 +70,8 @@ def left(o: Outcome) -> Left:
             share = LEAST * (LARGEST / LEAST) ** rng.uniform()
             return there.get(name) or source.draw_effect(rng, name, rig, share * size, label.duration)
 
-        begun = [[begin(name) for name in sorted(o.answer.names)] for _ in range(DRAWS)]
+        draws = 1 if o.answer.names <= there.keys() else DRAWS
+        begun = [[begin(name) for name in sorted(o.answer.names)] for _ in range(draws)]
         answer = unanswered(trip, rig, drawn.effects, begun)
     return Left(tuple(unabsorbed(trip, rig, [e]) for e in drawn.effects), answer)
 

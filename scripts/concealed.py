@@ -30,6 +30,29 @@ class Concealed:
     carrier: Concealed | None = None
 
 
+def together(effects: Sequence[Concealed], known: Sequence[str]) -> dict[str, float]:
+    """The numbers of all effects; what several have a part in, as dry friction, is their sum.
+
+    Raises ValueError for an effect that is not among the known ones or there twice.
+    """
+    ids = [e.id for e in effects]
+    for i in ids:
+        if i not in known:
+            raise ValueError(f"no effect {i!r}; there are {', '.join(known)}")
+        if ids.count(i) > 1:
+            raise ValueError(f"{i} is there twice")
+    values: dict[str, float] = {}
+    for effect in effects:
+        for name, value in effect.parameters.items():
+            values[name] = values.get(name, 0.0) + value
+    return values
+
+
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """A number between two positive ones, as likely in each half of their ratio."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
 def _carriers(effects: Sequence[Concealed]) -> list[Concealed]:
     return [e.carrier for e in effects if e.carrier is not None]
 

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from concealed import Concealed
+from concealed import Concealed, log_uniform, together
 from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import lfilter
@@ -254,32 +254,28 @@ class Simulated:
     counts_per_revolution: int
 
 
-def _log(rng: np.random.Generator, low: float, high: float) -> float:
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
-
-
 def draw_rig(rng: np.random.Generator) -> Rig:
     """A drive of a population between a small servo and a heavy arm."""
-    rate, speed = 1.0 / _log(rng, 0.15, 2.0), _log(rng, 1.0, 15.0)  # 1/s; rad/s at 60 %
-    forward, reverse = _log(rng, 3.0, 9.0), _log(rng, 3.0, 9.0)
+    rate, speed = 1.0 / log_uniform(rng, 0.15, 2.0), log_uniform(rng, 1.0, 15.0)  # 1/s; rad/s at 60 %
+    forward, reverse = log_uniform(rng, 3.0, 9.0), log_uniform(rng, 3.0, 9.0)
     at_motor, by_emf = float(rng.uniform(0.4, 0.95)), float(rng.uniform(0.5, 0.95))
-    ratio, emf = _log(rng, 10.0, 200.0), at_motor * by_emf
+    ratio, emf = log_uniform(rng, 10.0, 200.0), at_motor * by_emf
     resistance = 0.0
     while not 0.3 < resistance < 30.0:  # or no such motor is made
-        supply, inertia = _log(rng, 6.0, 48.0), _log(rng, 0.002, 1.0)
+        supply, inertia = log_uniform(rng, 6.0, 48.0), log_uniform(rng, 0.002, 1.0)
         damping = rate * inertia
         # The share of the damping that back-EMF makes fixes the motor constant, and the damping then the resistance.
         constant = emf * supply * (60.0 - 0.5 * (forward + reverse)) / 100.0 / (ratio * speed)
         resistance = (ratio * constant) ** 2 / (emf * damping)
-    motor = inertia * _log(rng, 0.1, 0.6)
-    mesh, reduced = 2.0 * math.pi * _log(rng, 80.0, 250.0), motor * (inertia - motor) / inertia
+    motor = inertia * log_uniform(rng, 0.1, 0.6)
+    mesh, reduced = 2.0 * math.pi * log_uniform(rng, 80.0, 250.0), motor * (inertia - motor) / inertia
     half_torque = damping * speed * 50.0 / 60.0
     return Rig(
         counts_per_revolution=int(rng.choice([4096, 8192, 10000, 16384, 20000, 40000])),
         encoder_phase=float(rng.uniform()),
         supply=supply,
         resistance=resistance,
-        inductance=resistance * _log(rng, 30e-6, 120e-6),
+        inductance=resistance * log_uniform(rng, 30e-6, 120e-6),
         motor_constant=constant,
         ratio=ratio,
         motor_inertia=motor / ratio**2,
@@ -288,19 +284,19 @@ def draw_rig(rng: np.random.Generator) -> Rig:
         link_viscous=(1.0 - at_motor) * damping,
         dead_band_forward=forward,
         dead_band_reverse=reverse,
-        backlash_gap=math.radians(_log(rng, 0.5, 5.0)),
+        backlash_gap=math.radians(log_uniform(rng, 0.5, 5.0)),
         gap_start=float(rng.uniform(-0.5, 0.5)),
         mesh_stiffness=mesh**2 * reduced,
         mesh_damping=2.0 * float(rng.uniform(0.1, 0.4)) * mesh * reduced,
         mesh_film=float(rng.uniform(1.0, 5.0)) * half_torque / (mesh**2 * reduced),
         mesh_variation=float(rng.uniform(0.02, 0.15)),
-        mesh_error=_log(rng, 2e-6, 2e-5),
+        mesh_error=log_uniform(rng, 2e-6, 2e-5),
         teeth=float(rng.integers(30, 120)),
-        commutation=_log(rng, 5e-4, 4e-3),
+        commutation=log_uniform(rng, 5e-4, 4e-3),
         commutator_bars=float(rng.choice([5, 7, 9, 11, 13])),
         pwm_steps=float(rng.choice([4000, 4096, 7200, 10000])),
-        noise_density=half_torque * _log(rng, 3e-4, 3e-3),
-        noise_time=_log(rng, 2e-3, 2e-2),
+        noise_density=half_torque * log_uniform(rng, 3e-4, 3e-3),
+        noise_time=log_uniform(rng, 2e-3, 2e-2),
         noise_at_motor=float(rng.uniform()),
     )
 
@@ -329,7 +325,7 @@ def _thermal(rng: np.random.Generator, rig: Rig, kelvin: float, duration: float)
     stall = rig.supply * 0.5 / rig.resistance
     emf = rig.motor_constant * rig.ratio * rig.half_speed / rig.resistance
     power = rig.resistance * ((stall - emf) ** 2 + 0.1 * stall**2)  # some reversals on top of steady running
-    cooling = 1.0 / (duration * _log(rng, 0.3, 3.0))
+    cooling = 1.0 / (duration * log_uniform(rng, 0.3, 3.0))
     heating = kelvin * cooling / (power * -math.expm1(-cooling * duration))
     if rng.uniform() < 0.3:  # the bridge folds back
         hot = {"heat_resistance": 0.0, "heat_flux": 0.0, "heat_drive": float(rng.uniform(0.002, 0.005))}
@@ -343,7 +339,7 @@ def _joint(rng: np.random.Generator, rig: Rig, size: float) -> dict[str, float]:
     hub = float(rng.uniform(0.1, 0.25)) * rig.link_inertia
     near, far = rig.inertia - rig.link_inertia + hub, rig.link_inertia - hub
     reduced = near * far / (near + far)
-    ratio = _log(rng, 0.02, 0.1)
+    ratio = log_uniform(rng, 0.02, 0.1)
     softest = 1.0 / (reduced * (2.0 * math.pi * 3.0) ** 2)
     compliance = softest * size / 0.3
     damping = 2.0 * ratio * math.sqrt(reduced / compliance) if size > 0.0 else 0.0
@@ -353,8 +349,8 @@ def _joint(rng: np.random.Generator, rig: Rig, size: float) -> dict[str, float]:
 def _stop(rng: np.random.Generator, rig: Rig, size: float) -> dict[str, float]:
     """A stiff stop, the nearer the larger the size, above, below or both; none at size 0."""
     reach, side = rig.half_speed * (0.3 / max(size, 1e-9)) ** 0.25, int(rng.integers(5))  # three of five have both
-    upper, lower = (_log(rng, 0.1, 0.8) * reach for _ in range(2))
-    stiffness = rig.inertia * (2.0 * math.pi * _log(rng, 5.0, 20.0)) ** 2 if size > 0.0 else 0.0
+    upper, lower = (log_uniform(rng, 0.1, 0.8) * reach for _ in range(2))
+    stiffness = rig.inertia * (2.0 * math.pi * log_uniform(rng, 5.0, 20.0)) ** 2 if size > 0.0 else 0.0
     bounce = float(rng.uniform(0.2, 0.7))
     return {
         "stop_upper_stiffness": 0.0 if side == 1 else stiffness,
@@ -409,7 +405,7 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
         case "motor_lag":
             values = {"lag_time": 0.2 * size, "lag_place": float(rng.choice([COMMAND_LAG, VOLTAGE_LAG, WINDING_LAG]))}
         case "periodic_disturbance":
-            values = {"outside_torque": torque, "outside_frequency": _log(rng, 0.3, 6.0), "outside_phase": turn}
+            values = {"outside_torque": torque, "outside_frequency": log_uniform(rng, 0.3, 6.0), "outside_phase": turn}
         case "position_dependent_friction":
             values, carrier = _dry(rng, torque, half, "turn")
             values |= {"turn_phase": turn, "turn_second": float(rng.uniform(0.0, 0.2))}
@@ -419,9 +415,10 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
             values = {"spring_rate": torque / speed, "spring_angle": float(rng.uniform(-0.2, 0.2)) * speed}
         case "stribeck_friction":
             values, carrier = _dry(rng, torque, half, "stribeck")
-            values |= {"stribeck_speed": speed * _log(rng, 0.03, 0.25), "stribeck_exponent": float(rng.integers(1, 3))}
+            values |= {"stribeck_speed": speed * log_uniform(rng, 0.03, 0.25)}
+            values |= {"stribeck_exponent": float(rng.integers(1, 3))}
         case "supply_sag":
-            values = {"source_resistance": size * rig.resistance, "source_time": _log(rng, 1e-3, 5e-2)}
+            values = {"source_resistance": size * rig.resistance, "source_time": log_uniform(rng, 1e-3, 5e-2)}
         case "thermal_fade":
             values = _thermal(rng, rig, 200.0 * size, duration)
         case "torque_ripple":
@@ -429,9 +426,10 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
             values |= {"ripple_order": float(rng.integers(4, 25)), "ripple_phase": turn}
             values |= {"ripple_second": float(rng.uniform(0.0, 0.3))}
         case "other_damaged_tooth":
-            values = {"tooth_gap": 0.4 * size, "tooth_angle": turn, "tooth_width": math.radians(_log(rng, 5.0, 20.0))}
+            width = math.radians(log_uniform(rng, 5.0, 20.0))
+            values = {"tooth_gap": 0.4 * size, "tooth_angle": turn, "tooth_width": width}
         case "other_detent":
-            width = math.radians(_log(rng, 5.0, 20.0))
+            width = math.radians(log_uniform(rng, 5.0, 20.0))
             values = {"detent_torque": torque, "detent_angle": turn, "detent_width": width}
         case "other_freewheel":
             values = {"bridge_open": min(size / 0.3, 1.0)}
@@ -440,7 +438,7 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
             values |= {"hump_width": speed * float(rng.uniform(0.06, 0.15))}
         case "other_slosh":
             coupling = torque / speed * float(rng.uniform(1.0, 2.0))
-            slosh_time = inertia / (half / speed) * _log(rng, 0.3, 3.0)
+            slosh_time = inertia / (half / speed) * log_uniform(rng, 0.3, 3.0)
             values = {"slosh_inertia": coupling * slosh_time, "slosh_coupling": coupling}
         case _:
             raise ValueError(f"no effect {id!r}; there are {', '.join((*VOCABULARY, *OUTSIDE))}")
@@ -656,16 +654,7 @@ def _noise(rig: Rig, span: float, seed: int) -> tuple[Array, Array]:
 
 
 def _plant(rig: Rig, effects: Sequence[Concealed]) -> _Plant:
-    ids = [e.id for e in effects]
-    for i in ids:
-        if i not in VOCABULARY and i not in OUTSIDE:
-            raise ValueError(f"no effect {i!r}; there are {', '.join((*VOCABULARY, *OUTSIDE))}")
-        if ids.count(i) > 1:
-            raise ValueError(f"{i} is there twice")
-    values: dict[str, float] = {}
-    for effect in effects:
-        for name, value in effect.parameters.items():
-            values[name] = values.get(name, 0.0) + value  # dry friction may be part of several
+    values = together(effects, (*VOCABULARY, *OUTSIDE))
     at_link = {
         "winding_time": rig.inductance / rig.resistance,
         "constant": rig.ratio * rig.motor_constant,

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from concealed import Concealed
+from concealed import Concealed, log_uniform, together
 from numba import njit
 from numpy.typing import NDArray
 
@@ -170,13 +170,9 @@ class Simulated:
     counts_per_revolution: int
 
 
-def _log(rng: np.random.Generator, low: float, high: float) -> float:
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
-
-
 def draw_rig(rng: np.random.Generator) -> Rig:
     """A rig of a population between a lazy arm and a brisk spindle."""
-    viscous, speed, at_motor = _log(rng, 0.5, 5.0), _log(rng, 3.0, 20.0), float(rng.uniform(0.4, 0.9))
+    viscous, speed, at_motor = log_uniform(rng, 0.5, 5.0), log_uniform(rng, 3.0, 20.0), float(rng.uniform(0.4, 0.9))
     forward, reverse = rng.uniform(1.0, 10.0, 2).tolist()
     share, mesh = float(rng.uniform(0.1, 0.5)), 2.0 * math.pi * float(rng.uniform(60.0, 200.0))
     gain = viscous * speed / (50.0 - 0.5 * (forward + reverse))
@@ -187,13 +183,13 @@ def draw_rig(rng: np.random.Generator) -> Rig:
         link_viscous=viscous * (1.0 - at_motor),
         dead_band_forward=forward,
         dead_band_reverse=reverse,
-        gap=_log(rng, 0.005, 0.06),
+        gap=log_uniform(rng, 0.005, 0.06),
         motor_share=share,
         mesh_stiffness=mesh**2 * reduced,
         mesh_damping=2.0 * float(rng.uniform(0.05, 0.4)) * mesh * reduced,
-        noise=gain * _log(rng, 0.1, 1.4),
+        noise=gain * log_uniform(rng, 0.1, 1.4),
         dry_share=float(rng.uniform(0.2, 1.0)),
-        edge=0.1 * speed * _log(rng, 0.003, 0.05),
+        edge=0.1 * speed * log_uniform(rng, 0.003, 0.05),
         counts_per_revolution=int(rng.choice([2000, 4096, 8192, 20000])),
         encoder_phase=float(rng.uniform()),
     )
@@ -241,7 +237,7 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
         case "motor_lag":
             values = {"lag": 0.2 * size}
         case "periodic_disturbance":
-            values = {"shake": torque, "shake_frequency": _log(rng, 0.5, 15.0), "shake_phase": turn}
+            values = {"shake": torque, "shake_frequency": log_uniform(rng, 0.5, 15.0), "shake_phase": turn}
         case "position_dependent_friction":
             # The plain part is four thirds of what varies: friction stays friction.
             plain = {"coulomb": torque / 0.75}
@@ -253,7 +249,7 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
         case "stribeck_friction":
             plain = {"coulomb": 0.5 * torque}
             values, carrier = plain | {"stribeck": torque}, Concealed("coulomb_friction", plain)
-            values |= {"stribeck_speed": speed * _log(rng, 0.03, 0.12)}
+            values |= {"stribeck_speed": speed * log_uniform(rng, 0.03, 0.12)}
         case "supply_sag":
             values = {"sag": size}
         case "thermal_fade":
@@ -362,16 +358,7 @@ def _run(time: Array, duty: Array, noise: Array, p: _Plant) -> Array:
 
 
 def _plant(rig: Rig, effects: Sequence[Concealed]) -> _Plant:
-    ids = [e.id for e in effects]
-    for i in ids:
-        if i not in VOCABULARY and i not in OUTSIDE:
-            raise ValueError(f"no effect {i!r}; there are {', '.join((*VOCABULARY, *OUTSIDE))}")
-        if ids.count(i) > 1:
-            raise ValueError(f"{i} is there twice")
-    values: dict[str, float] = {}
-    for effect in effects:
-        for name, value in effect.parameters.items():
-            values[name] = values.get(name, 0.0) + value  # dry friction may be part of several
+    values = together(effects, (*VOCABULARY, *OUTSIDE))
     return _Plant(**({n: v for n, v in asdict(rig).items() if n in _Plant._fields} | values))
 
 
