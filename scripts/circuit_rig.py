@@ -20,7 +20,7 @@ from math import exp, floor, inf, pi, radians, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from concealed import Concealed
+from concealed import Concealed, check
 from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import lfilter
@@ -443,12 +443,7 @@ def simulate(
     Before the first stamp the rig has stood for `settle` seconds at zero duty.
     Raises ValueError for an effect that is not known or there twice.
     """
-    ids = [e.id for e in effects]
-    for i in ids:
-        if i not in VOCABULARY + OUTSIDE:
-            raise ValueError(f"no effect {i!r}; there are {', '.join(VOCABULARY + OUTSIDE)}")
-    if len(set(ids)) < len(ids):
-        raise ValueError("the same effect is there twice")
+    check(effects, VOCABULARY + OUTSIDE)
     for e in effects:
         # Two parts of dry friction each bring some; the share that each is of it is then of the whole.
         rig = rig._replace(**{**e.parameters, "coulomb": rig.coulomb + e.parameters.get("coulomb", 0.0)})

@@ -30,17 +30,19 @@ class Concealed:
     carrier: Concealed | None = None
 
 
-def together(effects: Sequence[Concealed], known: Sequence[str]) -> dict[str, float]:
-    """The numbers of all effects; what several have a part in, as dry friction, is their sum.
-
-    Raises ValueError for an effect that is not among the known ones or there twice.
-    """
+def check(effects: Sequence[Concealed], known: Sequence[str]) -> None:
+    """Raises ValueError for an effect that is not among the known ones or there twice."""
     ids = [e.id for e in effects]
     for i in ids:
         if i not in known:
             raise ValueError(f"no effect {i!r}; there are {', '.join(known)}")
         if ids.count(i) > 1:
             raise ValueError(f"{i} is there twice")
+
+
+def together(effects: Sequence[Concealed], known: Sequence[str]) -> dict[str, float]:
+    """The numbers of all effects; of what several have a part in, as dry friction, the sum. Raises as `check` does."""
+    check(effects, known)
     values: dict[str, float] = {}
     for effect in effects:
         for name, value in effect.parameters.items():

@@ -20,7 +20,7 @@ from math import exp, inf, pi, sin, sqrt
 
 import mujoco
 import numpy as np
-from concealed import Concealed
+from concealed import Concealed, check
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -583,14 +583,12 @@ def simulate(
     """Play `duty` (n,) in percent, held from stamp to stamp of `time` (n,), on the rig with its effects.
 
     Before the first stamp the rig has stood for `settle` seconds at zero duty; it began that at angle zero.
+    Raises ValueError for an effect that is not known or there twice, and for one with a state of its own at any step
+    but the usual one.
     """
     time, duty = np.asarray(time, dtype=float), np.asarray(duty, dtype=float)
+    check(effects, VOCABULARY + OUTSIDE)
     parameters = {e.id: e.parameters for e in effects}
-    unknown = parameters.keys() - set(VOCABULARY + OUTSIDE)
-    if unknown:
-        raise ValueError(f"no effect {sorted(unknown)[0]!r}; there are {', '.join(VOCABULARY + OUTSIDE)}")
-    if len(parameters) < len(effects):
-        raise ValueError("the same effect is there twice")
     if effects and step != STEP:
         raise ValueError("effects with a state of their own know only the usual step")
 

@@ -10,9 +10,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
-from circuit_rig import OUTSIDE, VOCABULARY, Rig, Simulated, draw_effect, draw_rig, simulate
+from circuit_rig import Rig, Simulated, simulate
 from concealed import Concealed
-from excitations import rich
 
 # Back-EMF takes 1.2 of the viscous friction of 2, the motor 0.2 and the link 0.6.
 RIG = Rig(
@@ -126,21 +125,6 @@ def test_friction_holds_a_link_on_a_slope_and_bristles_give() -> None:
         assert least <= run.position[-1] <= most
 
 
-@pytest.mark.parametrize("id", VOCABULARY + OUTSIDE)
-def test_an_effect_of_no_size_is_no_effect_and_one_of_size_is_seen(id: str) -> None:
-    rng = np.random.default_rng(3)
-    time, duty = rich(12.0, rng)
-    none = draw_effect(rng, id, RIG, 0.0, 12.0)
-    carrier = none.carrier.parameters if none.carrier else {}
-    base = simulate(RIG._replace(**carrier), [], time, duty, seed=5)
-    same = simulate(RIG, [none], time, duty, seed=5)
-    if id != "gravity":  # which starts hanging
-        assert same.position == pytest.approx(base.position, abs=1e-9)
-    # Of three, since a stop may lie on the side to which the axis does not go.
-    drawn = [simulate(RIG, [draw_effect(rng, id, RIG, 0.3, 12.0)], time, duty, seed=5) for _ in range(3)]
-    assert max(np.abs(run.counts - same.counts).max() for run in drawn) > 10
-
-
 def test_the_noise_has_its_density_and_its_seed() -> None:
     rig = RIG._replace(back_emf=0.0, motor_viscous=0.0, link_viscous=0.0, gap=1e-5, start_in_gap=0.0)
     runs = [play([(2.0, 0.0)], rig=rig, seed=k, noise=True) for k in range(60)]
@@ -153,11 +137,3 @@ def test_a_finer_step_changes_less_than_a_count() -> None:
     pieces = [(0.4, 40.0), (0.3, -30.0), (0.3, 0.0)]
     change = play(pieces, substeps=200).position - play(pieces).position
     assert np.abs(change).max() < 2.0 * np.pi / 10000.0
-
-
-def test_unknown_or_doubled_effects_are_refused() -> None:
-    for effects in (["warp"], ["gravity", "gravity"]):
-        with pytest.raises(ValueError, match=r"no effect 'warp'|twice"):
-            play([(0.1, 0.0)], *(Concealed(i, {}) for i in effects))
-    with pytest.raises(ValueError, match="no effect 'warp'"):
-        draw_effect(np.random.default_rng(0), "warp", draw_rig(np.random.default_rng(0)), 0.1)

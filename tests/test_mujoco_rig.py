@@ -17,8 +17,6 @@ from concealed import Concealed, visibility
 from excitations import EXCITATIONS, Limits
 from make_recording import CANDIDATES, make, write
 from mujoco_rig import (
-    OUTSIDE,
-    VOCABULARY,
     Rig,
     Simulated,
     draw_effect,
@@ -229,24 +227,6 @@ def test_noise_has_its_density() -> None:
     assert momentum.std() == pytest.approx(0.05 * np.sqrt(0.4), rel=0.3)
 
 
-@pytest.mark.parametrize("id", VOCABULARY + OUTSIDE)
-def test_an_effect_of_no_size_is_no_effect_and_one_of_size_is_seen(id: str) -> None:
-    rng = np.random.default_rng(3)
-    time, duty = EXCITATIONS["rich"](6.0, rng, Limits())
-    base = simulate(RIG, [], time, duty, seed=5)
-    none = simulate(RIG, [draw_effect(rng, id, RIG, 0.0, 6.0)], time, duty, seed=5)
-    assert none.position == pytest.approx(base.position, abs=1e-9)
-    some = simulate(RIG, [draw_effect(rng, id, RIG, 0.3, 6.0)], time, duty, seed=5)
-    assert np.all(np.isfinite(some.position))
-    assert np.abs(some.counts - base.counts).max() > 10
-
-
-def test_same_seed_same_recording_other_seed_another() -> None:
-    one, same, other = (play([(1.0, 30.0)], seed=k, noise=True, settle=0.2).counts for k in (1, 1, 2))
-    assert np.array_equal(one, same)
-    assert not np.array_equal(one, other)
-
-
 def test_a_finer_step_changes_less_than_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     import mujoco_rig
 
@@ -273,12 +253,6 @@ def test_visibility_rises_from_nothing_with_size() -> None:
         for size in (0.0, 0.2, 2.0)
     ]
     assert seen[0] == 0.0 < seen[1] < seen[2]
-
-
-@pytest.mark.parametrize("effects", [["warp"], ["gravity", "gravity"]])
-def test_unknown_or_doubled_effects_are_refused(effects: list[str]) -> None:
-    with pytest.raises(ValueError, match=r"no effect 'warp'|twice"):
-        play([(0.1, 0.0)], *(Concealed(i, {"gain": 1.0, "phase": 0.0}) for i in effects))
 
 
 def test_the_shipped_recording_is_drawn_by_its_seed(tmp_path: Path) -> None:

@@ -1,0 +1,97 @@
+"""What holds of every simulator of rigs: the effects that it knows, their sizes, its seeds, its rigs' own numbers."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+
+from concealed import Concealed
+from excitations import EXCITATIONS, FREE
+from simulators import SIMULATORS
+
+from twin.effects.catalogue import CANDIDATES
+
+DURATION = 12.0
+EACH = [(name, effect) for name, module in SIMULATORS.items() for effect in (*module.VOCABULARY, *module.OUTSIDE)]
+every = pytest.mark.parametrize("module", SIMULATORS.values(), ids=SIMULATORS)
+
+
+def recorded(module: Any, effects: Sequence[Concealed], seed: int = 5, **options: bool) -> Any:
+    """A run of the rig that seed 4 draws."""
+    rng = np.random.default_rng(4)
+    rig = module.draw_rig(rng)
+    return module.simulate(rig, effects, *EXCITATIONS["rich"](DURATION, rng, FREE), seed, **options)
+
+
+@every
+def test_ids(module: Any) -> None:
+    assert list(module.VOCABULARY) == sorted(CANDIDATES)
+    assert module.OUTSIDE and all(i.startswith("other_") for i in module.OUTSIDE)
+
+
+@every
+def test_unknown_and_doubled(module: Any) -> None:
+    rng = np.random.default_rng(0)
+    rig = module.draw_rig(rng)
+    unknown = rf"no effect 'magic'; there are constant_offset.*{module.OUTSIDE[-1]}"
+    with pytest.raises(ValueError, match=unknown):
+        module.draw_effect(rng, "magic", rig, 0.1)
+    with pytest.raises(ValueError, match=unknown):
+        recorded(module, [Concealed("magic", {})])
+    twice = module.draw_effect(rng, "gravity", rig, 0.1)
+    with pytest.raises(ValueError, match="gravity is there twice"):
+        recorded(module, [twice, twice])
+
+
+@pytest.mark.parametrize(("name", "effect"), EACH)
+def test_size(name: str, effect: str) -> None:
+    """None at 0; plain to see at 0.3, of three draws, as a stop may lie where the axis does not go."""
+    module = SIMULATORS[name]
+    rng = np.random.default_rng(4)
+    rig = module.draw_rig(rng)
+    time, duty = EXCITATIONS["rich"](DURATION, rng, FREE)
+
+    def drawn(size: float, seed: int) -> Any:
+        one, same = (module.draw_effect(np.random.default_rng(seed), effect, rig, size, DURATION) for _ in range(2))
+        assert one == same
+        return one
+
+    def played(*effects: Concealed) -> Any:
+        return module.simulate(rig, effects, time, duty, 5)
+
+    none = drawn(0.0, 8)
+    plain, with_none = played(*([none.carrier] if none.carrier else [])), played(none)
+    # Where gravity acts a rig may begin by hanging, and rounds other numbers on its way.
+    moved = [run.position - run.position[0] for run in (plain, with_none)]
+    assert np.abs(moved[1] - moved[0]).max() < 2.0 * np.pi / rig.counts_per_revolution
+
+    def seen(changed: Any) -> bool:
+        assert np.all(np.isfinite(changed.position))
+        assert np.abs(changed.velocity).max() < 3.0 * np.abs(plain.velocity).max()
+        return bool(np.ptp(changed.counts - with_none.counts) > 10)
+
+    assert any(seen(played(drawn(0.3, seed))) for seed in (8, 9, 10))
+
+
+@every
+def test_seed_draws_the_noise_and_nothing_else(module: Any) -> None:
+    one, again, other = (recorded(module, [], seed) for seed in (1, 1, 2))
+    assert np.array_equal(one.counts, again.counts) and not np.array_equal(one.counts, other.counts)
+    quiet, silent = (recorded(module, [], seed, noise=False) for seed in (1, 2))
+    assert np.array_equal(quiet.position, silent.position)
+
+
+@every
+def test_own_numbers_can_be_changed(module: Any) -> None:
+    rig = module.draw_rig(np.random.default_rng(4))
+    moved = rig.with_(**{name: 0.9 * value for name, (value, _) in rig.own.items()})
+    assert all(getattr(moved, name) == pytest.approx(0.9 * value) for name, (value, _) in rig.own.items())
+    assert all(value < most for value, most in rig.own.values())
+    assert moved.model_values().keys() == rig.model_values().keys()
