@@ -1,4 +1,6 @@
-"""Which effects a first model lacks: added one at a time, pruned, and held against what is easily taken for them."""
+"""Which effects a first model lacks: added one at a time, pruned, held against what is easily taken for them; and
+looked for once more with a filter that forgets as fast as the recording asks (`closer`).
+"""
 
 from __future__ import annotations
 
@@ -24,6 +26,8 @@ TURNS = 2
 UNSURE = 3.0 * compare.TEMPER
 #: Dead-bands that differ by so many standard errors are not equal.
 CERTAIN = 3.0
+#: So often at most are meetings that a model foresees looked for, since another judgement moves the model.
+FORESEEN = 2
 #: A rival that had earned all but this share of what the winner did is tried in its place.
 NARROW = 0.1
 
@@ -148,7 +152,7 @@ def find(
     candidates: Sequence[str] = CANDIDATES,
     progress: Progress | None = None,
 ) -> Search:
-    """Add effects one at a time for as long as each earns its place."""
+    """Add effects one at a time for as long as each earns its place, and look closer at what came of it."""
     tell = progress or (lambda sentence, share: None)
     tell("fitting the first model", 0.0)
     cases, rough = ascent.start(recordings, first, held)
@@ -166,15 +170,8 @@ def find(
         # What the last model is held against is judged as it is.
         start = rounds[0].before if rounds else grown
         begun = valleys.settle(cases, first, start.values, held, grown.density)
-        best, lesser = _pruned(cases, grown, begun, held)
-        begun = min((q for q in lesser if q.structure == begun.structure), key=lambda p: p.deviance, default=begun)
-        swaps = _swapped(cases, best, lesser, rounds, held)
-        better = min(swaps, key=lambda w: behind(w.point, best), default=None)
-        if better is not None and behind(better.point, best) < 0.0:
-            # The rival had lost beside what was still missing then; now it is the one that fits, and more may show.
-            ousted = best
-            best, lesser = _pruned(cases, better.point, begun, held)
-            swaps = [Swap(better.rival, better.effect, ousted)] if better.rival in best.structure else []
+        best, lesser, swaps = _weighed(cases, grown, begun, rounds, held)
+        begun = _likeliest(lesser, begun)
         # What was ousted, or did not last, may have stood before what would; but not where it did more than all others.
         if best.structure in (grown.structure, *(this.before.structure for this in rounds)):
             break
@@ -183,7 +180,30 @@ def find(
     wider = _wider(cases, best, first, candidates, held, rounds)
     best, swaps = _widened(cases, best, swaps, wider, held)
     swaps = [*swaps, *_levelled(cases, best, candidates)]
-    return Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
+    found = Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
+    tell("looking closer", 0.8)
+    return closer(found, held, candidates)
+
+
+def _likeliest(lesser: Sequence[Point], begun: Point) -> Point:
+    """The likeliest of these with the structure of one of them."""
+    return min((q for q in lesser if q.structure == begun.structure), key=lambda p: p.deviance, default=begun)
+
+
+def _weighed(
+    cases: Sequence[Case], grown: Point, begun: Point, rounds: Sequence[Round], held: Mapping[str, float]
+) -> tuple[Point, list[Point], list[Swap]]:  # fmt: skip
+    """The model that growing from another ended at, without effects whose lack does not matter and with a rival in the
+    place of one if that now fits better; smaller models that it is held against; what could stand in an effect's place.
+    """
+    best, lesser = _pruned(cases, grown, begun, held)
+    swaps = _swapped(cases, best, lesser, rounds, held)
+    better = min(swaps, key=lambda w: behind(w.point, best), default=None)
+    if better is None or behind(better.point, best) >= 0.0:
+        return best, lesser, swaps
+    # The rival had lost beside what was still missing then; now it is the one that fits, and more may show.
+    last, lesser = _pruned(cases, better.point, _likeliest(lesser, begun), held)
+    return last, lesser, [Swap(better.rival, better.effect, best)] if better.rival in last.structure else []
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,3 +363,60 @@ def _plainer(cases: Sequence[Case], this: Round, held: Mapping[str, float]) -> P
         return winner.point
     plain = _fits(cases, winner.point, held, [kept])[0]
     return plain if compare.earns(this.before, plain) else winner.point
+
+
+def _sharp(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:
+    """The maximum near the point at the noise density that the recording asks for, and the cases as they are judged by
+    what the model foresees there.
+    """
+    mine = ready.with_steps(cases, point.structure)
+    found = likelihood.fit(mine, point.structure, point.values, point.free, point.density)
+    for _ in range(FORESEEN):
+        mine, found = ascent.foreseen(mine, found)
+    return mine, found
+
+
+def _added(
+    cases: list[Case], best: Point, most: int, candidates: Sequence[str], held: Mapping[str, float]
+) -> tuple[list[Case], Point, list[Round]]:  # fmt: skip
+    """The model with up to so many more effects, each judged as what was found before it asks for; the rounds won."""
+    rounds: list[Round] = []
+    while len(rounds) < most and (open_ := [c for c in candidates if c not in best.structure]):
+        seen = explain.contest(cases, best, open_)
+        if not any(compare.earned(best, h.point) > explain.HOPE * compare.LEAST for h in seen):
+            break
+        this = explain.compete(cases, best, seen[: explain.NEAR], open_, held)
+        if not this.won:
+            break
+        rounds.append(this)
+        cases, best = _sharp(cases, _plainer(cases, this, held))
+    return cases, best, rounds
+
+
+def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) -> Search:
+    """The search, with what shows beside its last model to a filter that remembers for no longer than the recording
+    asks for, where meetings of motor and link are judged only if the model foresees them; as it was where nothing does.
+
+    Where a motor rattles the errors of a tenth of a second hang together, and a unit of deviance is worth a fiftieth of
+    what it is to such a filter: it sees a faint effect beside those that were found. But it forgets slow torques, and
+    how friction gives at rest weighs for it as much as what moves the axis: so it takes nothing back and decides
+    nothing about what had been found.
+    """
+    cases, known = _sharp(found.cases, found.last)
+    if known.density < valleys.ALIKE * found.last.density and all(c.unforeseen is None for c in cases):
+        return found
+    room = MOST - len(set(known.structure.named) - set(found.first.structure.named))
+    cases, best, rounds = _added(cases, known, room, candidates, held)
+    if not rounds:
+        return found
+    known = valleys.settle(cases, known.structure, known.values, held, best.density)
+    best, lesser, swaps = _weighed(cases, best, known, rounds, held)
+    new = [e for e in best.structure.named if e not in known.structure]
+    if not new:
+        return found
+    for w in (w for w in found.swaps if w.rival not in new):
+        both = {**best.values, **w.point.values}
+        point = valleys.settle(cases, w.point.structure.with_(*new), both, held, best.density)
+        swaps.append(Swap(w.effect, w.rival, point))
+    first = valleys.settle(cases, found.first.structure, found.first.values, held, best.density)
+    return Search(first, best, (*found.rounds, *rounds), tuple(cases), (*lesser, first), tuple(swaps))

@@ -1,0 +1,120 @@
+"""The closer look: what a filter sees that remembers for no longer than a recording asks for."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+
+import circuit_rig
+from blind_trial import KINDS, draw
+from concealed import Concealed
+
+from twin import ascent, explain, likelihood, meetings, ready, search, valleys
+from twin.axis import Structure
+from twin.effects.catalogue import BASE, CANDIDATES
+from twin.explain import Hypothesis, Round
+from twin.likelihood import Point
+from twin.recording import Recording
+from twin.search import Search, Swap
+
+FIRST = Structure.of(BASE)
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_faint_torque_is_seen_where_a_motor_rattles(there: bool) -> None:
+    """A tenth of a second ahead nothing earns a place beside the errors of the bounces."""
+    candidates = ("constant_offset", "gravity", "motor_lag")
+    drawn = draw(71069, 1037, tuple(KINDS), 20.0, "circuit")
+    (planted,) = drawn.label.effects
+    effects = [Concealed(planted.id, planted.parameters)] if there else []
+    run = circuit_rig.simulate(drawn.rig, effects, drawn.time, drawn.duty, drawn.noise_seed)
+    count = 2.0 * np.pi / run.counts_per_revolution
+    recording = Recording("rig", run.time, run.duty, run.counts * count, "%", "rad", count)
+    cases, rough = ascent.start([recording], FIRST, {})
+    polished, fine = ascent.polish(cases, ascent.refine(cases, ready.with_teeth(FIRST), rough, {}))
+    cases = meetings.judged_throughout(polished)
+    before = valleys.settle(cases, FIRST, fine.values, {}, valleys.judged(cases, fine))
+    lost = explain.compete(cases, before, (), candidates, {})
+    assert not lost.won
+    as_it_was = Search(lost.before, lost.before, (lost,), tuple(cases))
+    found = search.closer(as_it_was, {}, candidates)
+    if there:
+        assert found.last.structure.named == ("constant_offset",)
+        assert found.last.values["offset"] == pytest.approx(planted.parameters["offset_link"], rel=0.2)
+        assert found.first.structure.named == () and found.rounds[-1].won
+        assert any(q.structure.named == () for q in found.lesser)
+    else:
+        assert found is as_it_was
+
+
+def fitted(deviance: float, *effects: str, density: float = 1.0) -> Point:
+    """A point that nothing was fitted for."""
+    none = np.zeros(1)
+    return Point(
+        Structure.of([*BASE, *effects]), {}, density, ("input_gain",), deviance, 1.0, np.eye(1), none, np.eye(1)
+    )
+
+
+def looked_at(monkeypatch, found: Search, sharp: Point, grown: Point, swaps: list[Swap], lesser: list[Point]) -> Search:
+    """The closer look where the filter that the recording asks for ends here, and finds these."""
+    case = likelihood.prepare(
+        Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), FIRST
+    )
+    rounds = [Round(sharp, (Hypothesis(grown.structure.named[-1:], grown),), 1.0)] if grown is not sharp else []
+    monkeypatch.setattr(search, "_sharp", lambda cases, point: ([case], sharp))
+    monkeypatch.setattr(search, "_added", lambda *rest: ([case], grown, rounds))
+    monkeypatch.setattr(search, "_weighed", lambda *rest: (grown, lesser, list(swaps)))
+    monkeypatch.setattr(valleys, "settle", lambda cases, structure, *rest: fitted(0.0, *structure.named))
+    return search.closer(found, {}, CANDIDATES)
+
+
+def test_as_it_was_where_there_is_no_other_filter_or_it_sees_nothing(monkeypatch) -> None:
+    found = Search(fitted(0.0), fitted(-100.0, "gravity"), (), ())
+    alike, other = (replace(found.last, density=share * valleys.ALIKE) for share in (0.9, 2.0))
+    grown = fitted(-300.0, "gravity", "motor_lag")
+    assert looked_at(monkeypatch, found, alike, grown, [], []) is found
+    assert looked_at(monkeypatch, found, other, other, [], []) is found
+
+
+def test_what_stood_for_what_had_been_found_does_so_beside_what_is_new(monkeypatch) -> None:
+    """But a constant torque that is named is no other reading of the dead-bands."""
+    level = fitted(-98.0, "gravity", "constant_offset")
+    old = [Swap("gravity", "spring", fitted(-99.0, "spring")), Swap("dead_band", "constant_offset", level)]
+    found = Search(fitted(0.0), fitted(-100.0, "gravity"), (), (), (), tuple(old))
+    sharp = fitted(-2000.0, "gravity", density=2.0 * valleys.ALIKE)
+    less, mine = fitted(-2000.0, "gravity"), Swap("motor_lag", "input_delay", fitted(-2080.0, "gravity", "input_delay"))
+    for new, kept in (("motor_lag", 2), ("constant_offset", 1)):
+        grown = fitted(-2100.0, "gravity", new)
+        seen = looked_at(monkeypatch, found, sharp, grown, [mine], [less])
+        assert seen.last is grown and seen.first.structure == FIRST and less in seen.lesser
+        assert seen.swaps[0] is mine and [(w.effect, w.rival) for w in seen.swaps[1:]] == [
+            (w.effect, w.rival) for w in old[:kept]
+        ]
+        assert all(new in w.point.structure for w in seen.swaps[1:])
+
+
+def test_looked_for_are_as_many_effects_as_there_is_room_for(monkeypatch) -> None:
+    """Each beside the one before, judged as that asks for; none where nothing does a little."""
+    names = ("spring", "motor_lag", "gravity", "input_delay")
+    points = [fitted(-1000.0 * n, *names[:n]) for n in range(len(names) + 1)]
+
+    def seen(cases, before, candidates):
+        n = len(before.structure.named)
+        return [Hypothesis((names[n],), points[n + 1])]
+
+    monkeypatch.setattr(explain, "contest", seen)
+    monkeypatch.setattr(explain, "compete", lambda cases, before, known, *rest: Round(before, tuple(known), 1.0))
+    monkeypatch.setattr(search, "_plainer", lambda cases, this, held: this.rivals[0].point)
+    monkeypatch.setattr(search, "_sharp", lambda cases, point: (cases, point))
+    for room in (0, 1, 3):
+        _, best, rounds = search._added([], points[0], room, names, {})
+        assert best is points[room] and len(rounds) == room
+    monkeypatch.setattr(explain, "contest", lambda *rest: [Hypothesis(("spring",), fitted(-5.0, "spring"))])
+    monkeypatch.setattr(explain, "compete", None)
+    assert search._added([], points[0], 3, names, {})[1:] == (points[0], [])
