@@ -182,10 +182,12 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
         ("gravity", "gravity_angle", -1.0, -2562.0),
         ("end_stop", "stop_upper", 2.9, 0.0),
         ("load_change", "load_time", 5.0, 0.2),
+        ("thermal_fade", "fade_time", 3.0, 1.0),
+        ("thermal_fade", "fade", 0.2, -0.2),
     ):
         structure = Structure.of([*BASE, effect])
         cases = [likelihood.prepare(turning, structure)]
-        values = ready.completed(structure, {"disturbance": 0.01})
+        values = ready.completed(structure, {"disturbance": 0.01, "fade": 0.1})
         for value, right in ((kept, True), (bent, False)):
             point = likelihood.evaluate(cases, structure, {**values, name: value}, 1.0)
             assert plausible(cases, point) is right, (effect, value)

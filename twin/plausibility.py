@@ -33,6 +33,8 @@ RUBS = 0.25
 BESIDE = 0.05
 #: Damping ratio from which on nothing resonates: what then passes from motor to link is only late, as in a lag.
 STILL = math.sqrt(0.5)
+#: No motor warms through in less than so many times the least time constant that may be tried.
+WARMS = 1.5
 #: What moves by less than a count in this time, s, might as well rest.
 CREEPS = 0.1
 #: A stop gives way by no larger share of the travel.
@@ -85,6 +87,12 @@ def _stribeck(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     return values["stribeck_velocity"] > max(2.0 * least, told)
 
 
+def _fade(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+    """It takes gain away, and no faster than a motor warms: what rises or ends within the first second is no heat."""
+    least, _ = likelihood.bounds_of("fade_time")
+    return values["fade"] > 0.0 and values["fade_time"] > WARMS * least
+
+
 def _late(name: str) -> Rule:
     """What comes late is not lost between two readings."""
     return lambda cases, values: values[name] > BETWEEN * max(c.step for c in cases)
@@ -130,6 +138,7 @@ RULES: Mapping[str, Rule] = {
     "spring": _spring,
     "joint_elasticity": _joint,
     "stribeck_friction": _stribeck,
+    "thermal_fade": _fade,
     "motor_lag": _late("lag_time"),
     "input_delay": _late("delay"),
     "encoder_eccentricity": _eccentricity,
