@@ -70,6 +70,7 @@ def looked_at(monkeypatch, found: Search, sharp: Point, grown: Point, swaps: lis
     monkeypatch.setattr(search, "_sharp", lambda cases, point: ([case], sharp))
     monkeypatch.setattr(search, "_added", lambda *rest: ([case], grown, rounds))
     monkeypatch.setattr(search, "_weighed", lambda *rest: (grown, lesser, list(swaps)))
+    monkeypatch.setattr(search, "_levelled", lambda cases, last, rivals: [Swap("dead_band", rivals[0], grown)])
     monkeypatch.setattr(valleys, "settle", lambda cases, structure, *rest: fitted(0.0, *structure.named))
     return search.closer(found, {}, CANDIDATES)
 
@@ -84,8 +85,8 @@ def test_as_it_was_where_there_is_no_other_filter_or_it_sees_nothing(monkeypatch
 
 def test_what_stood_for_what_had_been_found_does_so_beside_what_is_new(monkeypatch) -> None:
     """But a constant torque that is named is no other reading of the dead-bands."""
-    level = fitted(-98.0, "gravity", "constant_offset")
-    old = [Swap("gravity", "spring", fitted(-99.0, "spring")), Swap("dead_band", "constant_offset", level)]
+    pairs = (("gravity", "spring"), ("dead_band", "constant_offset"))
+    old = [Swap(effect, rival, fitted(-99.0, rival)) for effect, rival in pairs]
     found = Search(fitted(0.0), fitted(-100.0, "gravity"), (), (), (), tuple(old))
     sharp = fitted(-2000.0, "gravity", density=2.0 * valleys.ALIKE)
     less, mine = fitted(-2000.0, "gravity"), Swap("motor_lag", "input_delay", fitted(-2080.0, "gravity", "input_delay"))
@@ -93,9 +94,7 @@ def test_what_stood_for_what_had_been_found_does_so_beside_what_is_new(monkeypat
         grown = fitted(-2100.0, "gravity", new)
         seen = looked_at(monkeypatch, found, sharp, grown, [mine], [less])
         assert seen.last is grown and seen.first.structure == FIRST and less in seen.lesser
-        assert seen.swaps[0] is mine and [(w.effect, w.rival) for w in seen.swaps[1:]] == [
-            (w.effect, w.rival) for w in old[:kept]
-        ]
+        assert seen.swaps[0] is mine and [(w.effect, w.rival) for w in seen.swaps[1:]] == [*pairs[:kept]]
         assert all(new in w.point.structure for w in seen.swaps[1:])
 
 

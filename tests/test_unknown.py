@@ -53,9 +53,9 @@ def with_curve(cases: list[Case], base: Point, term: Term) -> Point:
     return unknown.finish(cases, unknown.sketch(cases, base, term))
 
 
-def with_name(case: Case, base: Point, name: str) -> Point:
-    """The base and an effect, fitted together."""
-    structure = STRUCTURE.with_(name)
+def with_name(case: Case, base: Point, *names: str) -> Point:
+    """The base and effects, fitted together."""
+    structure = STRUCTURE.with_(*names)
     mine, free = ready.with_steps([case], structure), ready.free_parameters(structure)
     return likelihood.climb(mine, structure, ready.completed(structure, base.values), base.density, free)
 
@@ -406,6 +406,30 @@ def test_a_name_that_two_stretches_speak_for_is_dropped(monkeypatch):
         lasting, _, chances = extend._lasting(found, first.structure)
         assert (lasting.last.structure == first.structure) is dropped
         assert set(chances) == (set() if dropped or len(gains) < foretold.LEAST else {"quadratic_drag"})
+
+
+def test_of_two_names_that_do_the_same_one_is_dropped(monkeypatch):
+    """Beside the other neither foretells anything; by itself the one that is there does."""
+    case, first = fitted("drag")
+    both = with_name(case, first, "quadratic_drag", "friction_asymmetry")
+    swaps = (Swap("quadratic_drag", "gravity", both), Swap("friction_asymmetry", "constant_offset", both))
+    found = Search(first, both, (), (case,), (first,), swaps)
+    monkeypatch.setattr(extend, "_idle", lambda cases, sharp, first: [])
+    asked = []
+
+    def chances(found, first):
+        asked.append(found.last.structure.named)
+        beside = {"quadratic_drag": 0.4, "friction_asymmetry": 0.5}
+        return beside if len(asked) == 1 else {"quadratic_drag": 1e-6}
+
+    monkeypatch.setattr(extend, "_chances", chances)
+    lasting, _, _ = extend._lasting(found, first.structure)
+    assert "quadratic_drag" in lasting.last.structure and "friction_asymmetry" not in lasting.last.structure
+    assert asked == [both.structure.named, lasting.last.structure.named]
+    # It is held against its absence, and what could stand in its place does so without the other, too.
+    assert any("quadratic_drag" not in q.structure for q in lasting.lesser)
+    assert [w.rival for w in lasting.swaps] == ["gravity"]
+    assert "friction_asymmetry" not in lasting.swaps[0].point.structure
 
 
 @pytest.mark.parametrize(("key", "kept"), [("nothing", False), ("drag", True)])

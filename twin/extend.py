@@ -297,15 +297,12 @@ def _lasting(found: Search, first: Structure) -> tuple[Search, tuple[list[Case],
         idle, chances = _idle(*foreseen, first), dict[str, float]()
         if not idle:
             chances = _chances(found, first)
-            idle = [effect for effect, chance in chances.items() if chance > foretold.IDLE]
+            # Of two that do the same neither foretells anything beside the other: one goes, the other is asked anew.
+            worst = max(chances, key=lambda e: chances[e], default="")
+            idle = [worst] if worst and chances[worst] > foretold.IDLE else []
         if not idle:
             return found, foreseen, chances
-        last = found.last
-        less = last.structure.without(*idle)
-        last = valleys.settle(found.cases, less, foreseen[1].values, valleys.kept(last), last.density)
-        lesser = tuple(q for q in found.lesser if len(q.structure.named) < len(less.named))
-        swaps = tuple(w for w in found.swaps if w.effect in less)
-        found = replace(found, last=last, lesser=lesser, swaps=swaps)
+        found = search.less(found, idle, foreseen[1].values)
 
 
 def _next(found: Search) -> Experiment:

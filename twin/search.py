@@ -393,6 +393,24 @@ def _added(
     return cases, best, rounds
 
 
+def _carried(
+    cases: Sequence[Case], last: Point, swaps: Sequence[Swap], held: Mapping[str, float], more: Sequence[str] = (),
+    fewer: Sequence[str] = (),
+) -> list[Swap]:  # fmt: skip
+    """What could stand in the place of effects beside a last model that has gained some and lost others."""
+    out = []
+    for w in swaps:
+        if w.rival in last.structure or w.effect not in last.structure:
+            continue
+        if w.effect == "dead_band":
+            out += _levelled(cases, last, [w.rival])
+        else:
+            structure = w.point.structure.with_(*more).without(*fewer)
+            point = valleys.settle(cases, structure, {**last.values, **w.point.values}, held, last.density)
+            out.append(Swap(w.effect, w.rival, point))
+    return out
+
+
 def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) -> Search:
     """The search, with what shows beside its last model to a filter that remembers for no longer than the recording
     asks for, where meetings of motor and link are judged only if the model foresees them; as it was where nothing does.
@@ -414,9 +432,15 @@ def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) 
     new = [e for e in best.structure.named if e not in known.structure]
     if not new:
         return found
-    for w in (w for w in found.swaps if w.rival not in new):
-        both = {**best.values, **w.point.values}
-        point = valleys.settle(cases, w.point.structure.with_(*new), both, held, best.density)
-        swaps.append(Swap(w.effect, w.rival, point))
+    swaps += _carried(cases, best, found.swaps, held, more=new)
     first = valleys.settle(cases, found.first.structure, found.first.values, held, best.density)
     return Search(first, best, (*found.rounds, *rounds), tuple(cases), (*lesser, first), tuple(swaps))
+
+
+def less(found: Search, effects: Sequence[str], values: Mapping[str, float]) -> Search:
+    """The search, its last model without some of its effects, from these values, and what that is held against."""
+    kept, structure = valleys.kept(found.last), found.last.structure.without(*effects)
+    last = valleys.settle(found.cases, structure, values, kept, found.last.density)
+    fits = _fits(found.cases, last, kept, _smaller(structure, found.first.structure))
+    swaps = _carried(found.cases, last, found.swaps, kept, fewer=effects)
+    return replace(found, last=last, lesser=(*fits, found.first) if fits else (), swaps=tuple(swaps))
