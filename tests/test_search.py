@@ -182,7 +182,6 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
         ("gravity", "gravity_angle", -1.0, -2562.0),
         ("end_stop", "stop_upper", 2.9, 0.0),
         ("load_change", "load_time", 5.0, 0.2),
-        ("thermal_fade", "fade_time", 3.0, 1.0),
         ("thermal_fade", "fade", 0.2, -0.2),
     ):
         structure = Structure.of([*BASE, effect])

@@ -33,8 +33,6 @@ RUBS = 0.25
 BESIDE = 0.05
 #: Damping ratio from which on nothing resonates: what then passes from motor to link is only late, as in a lag.
 STILL = math.sqrt(0.5)
-#: No motor warms through in less than so many times the least time constant that may be tried.
-WARMS = 1.5
 #: What moves by less than a count in this time, s, might as well rest.
 CREEPS = 0.1
 #: A stop gives way by no larger share of the travel.
@@ -88,9 +86,8 @@ def _stribeck(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
 
 
 def _fade(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
-    """It takes gain away, and no faster than a motor warms: what rises or ends within the first second is no heat."""
-    least, _ = likelihood.bounds_of("fade_time")
-    return values["fade"] > 0.0 and values["fade_time"] > WARMS * least
+    """It takes gain away: what gives some is no heat."""
+    return values["fade"] > 0.0
 
 
 def _late(name: str) -> Rule:
