@@ -432,6 +432,7 @@ def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) 
     new = [e for e in best.structure.named if e not in known.structure]
     if not new:
         return found
+    best = _unmet(cases, best)
     swaps += _carried(cases, best, found.swaps, held, more=new)
     first = valleys.settle(cases, found.first.structure, found.first.values, held, best.density)
     return Search(first, best, (*found.rounds, *rounds), tuple(cases), (*lesser, first), tuple(swaps))
