@@ -455,6 +455,7 @@ def test_what_did_not_last_is_followed_by_another_look(monkeypatch) -> None:
     monkeypatch.setattr(search.screening, "offered", lambda cases, candidates: candidates)
     monkeypatch.setattr(search, "_grown", grow)
     monkeypatch.setattr(search, "_pruned", lambda cases, best, begun, held: (base if best is wave else best, [base]))
+    monkeypatch.setattr(search, "closer", lambda found, held, candidates: found)
     found = search.find([], base.structure, {})
     assert asked == [(base, ["seen from afar"]), (base, [])]
     assert found.last is push
