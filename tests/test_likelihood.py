@@ -17,6 +17,7 @@ from scipy.special import huber
 from twin import identify, kernel, likelihood, ready
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
+from twin.effects.end_stop import NOWHERE
 from twin.likelihood import Case, Point
 from twin.recording import Recording
 
@@ -249,6 +250,22 @@ def test_a_model_that_no_command_moves_is_refused() -> None:
     wide = {**VALUES, "dead_band_forward": 90.0, "dead_band_reverse": 90.0}
     assert likelihood.evaluate([case], STRUCTURE, wide, 1.0).deviance == np.inf
     assert np.isfinite(likelihood.evaluate([case], STRUCTURE, {**wide, "dead_band_reverse": 50.0}, 1.0).deviance)
+
+
+@pytest.mark.parametrize("stop", ["stop_lower", "stop_upper"])
+def test_a_stop_far_on_the_wrong_side_of_all_readings_is_refused_without_a_run(monkeypatch, stop: str) -> None:
+    """The link would be pressed as deep as no stop gives way, in steps as short as that stiffness asks for."""
+    case, structure = made(duration=5.0), STRUCTURE.with_("end_stop")
+    stiff = {**VALUES, **NOWHERE, "stop_stiffness": 5e4, "stop_damping": 0.0, "stop_hysteresis": 0.0}
+    least, most = case.reach
+    met, wrong = {
+        "stop_lower": (least + 0.1 * case.spread, most + 1.1 * case.spread),
+        "stop_upper": (most - 0.1 * case.spread, least - 1.1 * case.spread),
+    }[stop]
+    for place in (NOWHERE[stop], met):
+        assert np.isfinite(likelihood.evaluate([case], structure, {**stiff, stop: place}, 1.0).deviance)
+    monkeypatch.setattr(likelihood, "innovations", None)
+    assert likelihood.evaluate([case], structure, {**stiff, stop: wrong}, 1.0).deviance == np.inf
 
 
 SOUND = {

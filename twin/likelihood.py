@@ -122,9 +122,14 @@ class Case:
         return digest.digest()
 
     @cached_property
+    def reach(self) -> tuple[float, float]:
+        """The least and the largest reading, output unit."""
+        return float(np.nanmin(self.recording.output)), float(np.nanmax(self.recording.output))
+
+    @property
     def spread(self) -> float:
         """Range of the readings, output unit."""
-        return float(np.nanmax(self.recording.output) - np.nanmin(self.recording.output))
+        return self.reach[1] - self.reach[0]
 
     @cached_property
     def step(self) -> float:
@@ -399,6 +404,14 @@ def _moves(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     return any(c.drive.closed or c.drive.command.max() >= forward or -c.drive.command.min() >= reverse for c in cases)
 
 
+def _between(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+    """Whether no recording lies further behind a stop than it travels: the deeper, the shorter the steps that a stiff
+    contact needs, and a climb that is thrown so far would wait a quarter of a minute to be told that it is nowhere.
+    """
+    lower, upper = values.get("stop_lower", -math.inf), values.get("stop_upper", math.inf)
+    return all(c.drive.speed or (lower - c.spread < c.reach[1] and upper + c.spread > c.reach[0]) for c in cases)
+
+
 #: Points that were looked at last, by all that they come from: a search gets to the same place by several ways.
 _RECENT: OrderedDict[Hashable, Point] = OrderedDict()
 _REMEMBERED = 4000
@@ -414,7 +427,7 @@ def evaluate(
     """
     key = (tuple(c.mark for c in cases), structure, tuple(sorted(values.items())), density, free, stretch)
     found = _RECENT.pop(key, None)
-    if found is None and _moves(cases, values):
+    if found is None and _moves(cases, values) and _between(cases, values):
         # Slopes take the memory: of long recordings the errors come first, then the slopes piece by piece.
         seen = () if sum(len(c.drive.time) for c in cases) > AT_ONCE else free
         results = [innovations(c, structure, values, density, seen) for c in cases]
