@@ -239,6 +239,18 @@ def test_missing_drag_shows_over_velocity():
     assert unknown.which_terms(before)[0] == Term("velocity")
 
 
+def test_what_a_filter_learns_after_a_silence_is_no_missing_torque():
+    """It begins anew there, and its first corrections are of what it did not know, not of what the model lacks."""
+    case, point = fitted("nothing")
+    measured = case.drive.measured.copy()
+    measured[5000:5600] = np.nan
+    silent = replace(case, drive=replace(case.drive, measured=measured))
+    values = {**point.values, "input_gain": 1.1 * point.values["input_gain"]}
+    usual, seen = (locate.missing_torque(c, point.structure, values).torque for c in (case, silent))
+    after = slice(5500, 6000)
+    assert np.nanmax(np.abs(seen[after])) < 2.0 * np.nanmax(np.abs(usual))
+
+
 def test_bump_over_position_is_found_and_drawn():
     case, base = fitted("bump")
     before = unknown.leftover(case, base.structure, base.values)

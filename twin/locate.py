@@ -113,7 +113,7 @@ def missing_torque(case: Case, structure: Structure, values: Mapping[str, float]
     late = round((1.0 if case.drive.speed else np.sqrt(2.0)) * memory / step)
     torque = _delayed(raw, late)
     for begun in (0, *np.flatnonzero(np.isnan(run.reading))):
-        torque[begun : begun + int(5.0 * memory / step)] = np.nan
+        torque[max(begun - late, 0) : begun + int(5.0 * memory / step)] = np.nan
     velocity = run.states[:, 1]
     return Missing(
         time=case.drive.time,
