@@ -61,7 +61,7 @@ def fitted(deviance: float, *effects: str, density: float = 1.0) -> Point:
     )
 
 
-def looked_at(monkeypatch, found: Search, sharp: Point, grown: Point, swaps: list[Swap], lesser: list[Point]) -> Search:
+def looked_at(monkeypatch, found: Search, sharp: Point, grown: Point, swaps: list[Swap]) -> Search:
     """The closer look where the filter that the recording asks for ends here, and finds these."""
     case = likelihood.prepare(
         Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), FIRST
@@ -69,7 +69,7 @@ def looked_at(monkeypatch, found: Search, sharp: Point, grown: Point, swaps: lis
     rounds = [Round(sharp, (Hypothesis(grown.structure.named[-1:], grown),), 1.0)] if grown is not sharp else []
     monkeypatch.setattr(search, "_sharp", lambda cases, point: ([case], sharp))
     monkeypatch.setattr(search, "_added", lambda *rest: ([case], grown, rounds))
-    monkeypatch.setattr(search, "_weighed", lambda *rest: (grown, lesser, list(swaps)))
+    monkeypatch.setattr(search, "_weighed", lambda *rest: (grown, [], list(swaps)))
     monkeypatch.setattr(search, "_levelled", lambda cases, last, rivals: [Swap("dead_band", rivals[0], grown)])
     monkeypatch.setattr(valleys, "settle", lambda cases, structure, *rest: fitted(0.0, *structure.named))
     return search.closer(found, {}, CANDIDATES)
@@ -79,8 +79,8 @@ def test_as_it_was_where_there_is_no_other_filter_or_it_sees_nothing(monkeypatch
     found = Search(fitted(0.0), fitted(-100.0, "gravity"), (), ())
     alike, other = (replace(found.last, density=share * valleys.ALIKE) for share in (0.9, 2.0))
     grown = fitted(-300.0, "gravity", "motor_lag")
-    assert looked_at(monkeypatch, found, alike, grown, [], []) is found
-    assert looked_at(monkeypatch, found, other, other, [], []) is found
+    assert looked_at(monkeypatch, found, alike, grown, []) is found
+    assert looked_at(monkeypatch, found, other, other, []) is found
 
 
 def test_what_stood_for_what_had_been_found_does_so_beside_what_is_new(monkeypatch) -> None:
@@ -89,11 +89,13 @@ def test_what_stood_for_what_had_been_found_does_so_beside_what_is_new(monkeypat
     old = [Swap(effect, rival, fitted(-99.0, rival)) for effect, rival in pairs]
     found = Search(fitted(0.0), fitted(-100.0, "gravity"), (), (), (), tuple(old))
     sharp = fitted(-2000.0, "gravity", density=2.0 * valleys.ALIKE)
-    less, mine = fitted(-2000.0, "gravity"), Swap("motor_lag", "input_delay", fitted(-2080.0, "gravity", "input_delay"))
+    mine = Swap("motor_lag", "input_delay", fitted(-2080.0, "gravity", "input_delay"))
     for new, kept in (("motor_lag", 2), ("constant_offset", 1)):
         grown = fitted(-2100.0, "gravity", new)
-        seen = looked_at(monkeypatch, found, sharp, grown, [mine], [less])
-        assert seen.last is grown and seen.first.structure == FIRST and less in seen.lesser
+        seen = looked_at(monkeypatch, found, sharp, grown, [mine])
+        assert seen.last is grown and seen.first.structure == FIRST
+        # What had been found is held against the model that lacks it alone, as is what is new.
+        assert {q.structure.named for q in seen.lesser} == {("gravity",), (new,), ()}
         assert seen.swaps[0] is mine and [(w.effect, w.rival) for w in seen.swaps[1:]] == [*pairs[:kept]]
         assert all(new in w.point.structure for w in seen.swaps[1:])
 

@@ -493,51 +493,6 @@ def hypothesis(deviance: float, *effects: str, unit: float = 1.0) -> explain.Hyp
     return explain.Hypothesis(effects[-1:], fitted(deviance, *effects, unit=unit))
 
 
-def test_two_effects_that_earn_a_place_only_together_are_found(monkeypatch) -> None:
-    """Alone each leaves errors that hang together, so that what it does counts for little; but it is a way on."""
-    before = fitted(0.0, unit=50.0)
-    alone = [hypothesis(-500.0, "spring", unit=50.0), hypothesis(-800.0, "gravity", unit=50.0)]
-    lost = explain.Round(before, (alone[1], alone[0]), 50.0, False)
-    pair = hypothesis(-3000.0, "gravity", "input_delay")
-    looked = {("gravity",): pair, ("spring",): hypothesis(-600.0, "spring", "motor_lag", unit=50.0)}
-    followed: list[tuple[str, ...]] = []
-
-    def compete(cases, stone, known, candidates, held):
-        followed.append(stone.structure.named)
-        assert set(candidates).isdisjoint(stone.structure.named) and known[0].point is pair.point
-        return explain.Round(stone, tuple(known), 1.0, True)
-
-    monkeypatch.setattr(explain, "plausible", lambda cases, point, before: True)
-    monkeypatch.setattr(explain, "contest", lambda cases, base, candidates: [looked[base.structure.named]])
-    monkeypatch.setattr(valleys, "relocated", lambda cases, point, held: point)
-    monkeypatch.setattr(explain, "compete", compete)
-    first, second = explain.beyond((), lost, CANDIDATES, {})
-    assert followed == [("gravity",)]
-    assert first.won and first.before is before and [h.added for h in first.rivals] == [("gravity",), ("spring",)]
-    assert second.won and second.before is first.rivals[0].point and second.rivals[0].point is pair.point
-    # A rival that hardly pays for itself is no way on, and two that together earn too little are none.
-    assert explain.beyond((), replace(lost, rivals=(hypothesis(-100.0, "spring", unit=50.0),)), CANDIDATES, {}) == ()
-    looked[("gravity",)] = hypothesis(-20.0, "gravity", "input_delay")
-    assert explain.beyond((), replace(lost, rivals=alone[1:]), CANDIDATES, {}) == ()
-
-
-def test_a_lost_round_is_looked_at_with_a_filter_that_forgets_sooner(monkeypatch) -> None:
-    before, seen = fitted(0.0, unit=10.0), hypothesis(-4000.0, "load_change", unit=10.0)
-    weak = hypothesis(-100.0, "thermal_fade", unit=10.0)
-    monkeypatch.setattr(explain, "plausible", lambda cases, point, before: True)
-    monkeypatch.setattr(explain, "_from_brief", lambda cases, base, candidates, held: [seen])
-    monkeypatch.setattr(valleys, "settle", lambda cases, structure, values, held, density: before)
-    monkeypatch.setattr(explain, "shows", lambda cases, smaller, larger: True)
-    lost = explain.Round(before, (weak,), 10.0, False)
-    found = explain.again((), lost, CANDIDATES, {})
-    assert found.won and found.rivals == (seen, weak)
-    # Where innovations are white there is no bounce that a shorter memory would forget.
-    white = replace(lost, unit=0.9 * explain.WHITE)
-    assert explain.again((), white, CANDIDATES, {}) is white
-    idle = replace(lost, rivals=(hypothesis(-20.0, "thermal_fade", unit=10.0),))
-    assert explain.again((), idle, CANDIDATES, {}) is idle
-
-
 def test_a_lost_round_is_looked_at_with_a_filter_that_remembers_longer_than_the_model_is_right(monkeypatch) -> None:
     recording = Recording("none", 0.002 * np.arange(500), np.zeros(500), np.zeros(500), "%", "rad", 1e-4)
     cases = [likelihood.prepare(recording, Structure.of(BASE))]
@@ -600,44 +555,24 @@ def test_a_slow_torque_is_found_beside_a_fast_one_that_nobody_looks_for(monkeypa
         assert found.rivals[0].point.values["spring_stiffness"] == pytest.approx(stiffness, rel=0.1)
 
 
-def test_a_valley_of_the_bounces_is_left_by_way_of_shorter_memories(monkeypatch) -> None:
-    """From the same place a filter that remembers for long would stay where it is."""
-    recording = Recording("none", 0.002 * np.arange(500), np.zeros(500), np.zeros(500), "%", "rad", 1e-4)
-    cases = [likelihood.prepare(recording, Structure.of(BASE))]
-    asked = []
-
-    def settle(cases, structure, values, held, density):
-        asked.append((values["at"], round(likelihood.memory_of(cases[0], density), 6)))
-        return replace(fitted(0.0), values={"at": len(asked)})
-
-    monkeypatch.setattr(valleys, "settle", settle)
-    for memory, way in ((0.1, (*valleys.BRIEF, 0.1)), (0.03, (valleys.BRIEF[0], 0.03)), (0.01, (0.01,))):
-        asked.clear()
-        valleys.lengthened(cases, Structure.of(BASE), {"at": 0}, {}, likelihood.density_of(cases[0], memory))
-        assert asked == list(enumerate(way))
-
-
-@pytest.mark.parametrize(("alone", "effects"), [(0, 4), (1, 3), (2, 4), (3, 3), (4, 4)])
-def test_no_more_effects_than_that_are_looked_for(monkeypatch, alone: int, effects: int) -> None:
-    """So many earn a place alone, and after that always two together, for which there must be room."""
+@pytest.mark.parametrize(("alone", "late", "effects"), [(0, 0, 0), (2, 0, 2), (2, 1, 3), (6, 0, 4), (6, 1, 4)])
+def test_no_more_effects_than_that_are_looked_for(monkeypatch, alone: int, late: int, effects: int) -> None:
+    """So many earn a place, and one more after a lost round, with a filter over whose memory nothing else competes."""
     names = ("spring", "motor_lag", "gravity", "input_delay", "supply_sag", "thermal_fade")
     points = [fitted(-100.0 * n, *names[:n]) for n in range(len(names) + 1)]
 
-    def following(before: likelihood.Point, won: bool = True) -> explain.Round:
+    def following(before: likelihood.Point, won: bool) -> explain.Round:
         n = len(before.structure.named)
         return explain.Round(before, (explain.Hypothesis((names[n],), points[n + 1]),), 1.0, won)
-
-    def beyond(cases, this, candidates, held):
-        first = following(this.before)
-        return first, following(first.rivals[0].point)
 
     def compete(cases, before, known, candidates, held):
         return following(before, len(before.structure.named) < alone)
 
+    def slower(cases, this, candidates, held):
+        return following(this.before, True) if late and not this.won else this
+
     monkeypatch.setattr(explain, "compete", compete)
-    monkeypatch.setattr(explain, "beyond", beyond)
-    monkeypatch.setattr(explain, "again", lambda cases, this, candidates, held: this)
-    monkeypatch.setattr(explain, "slower", lambda cases, this, candidates, held: this)
+    monkeypatch.setattr(explain, "slower", slower)
     monkeypatch.setattr(valleys, "rejudged", lambda cases, point, held: point)
     monkeypatch.setattr(valleys, "relocated", lambda cases, point, held: point)
     monkeypatch.setattr(search, "_plainer", lambda cases, this, held: this.rivals[0].point)

@@ -10,9 +10,8 @@ smallest effect. Far: from contact without compliance, whose likelihood is smoot
 its lack has led the model astray. The best few are fitted with everything else, and the smaller model is refitted from
 their optimum before they are compared, so that a badly converged model makes no discovery.
 
-A round that is lost although some rivals do a little is looked at from a third place, with a filter that forgets before
-a bounce ends (`again`), and for two effects that earn a place only together (`beyond`); and where a model is right for
-a moment only, for slow torques with one that remembers for longer (`slower`).
+Where a model is right for a moment only, a lost round is looked at once more, for slow torques, with a filter that
+remembers for longer (`slower`).
 """
 
 from __future__ import annotations
@@ -41,8 +40,6 @@ NEAR, FAR = 4, 2
 CLOSE, HOPE = 0.4, 0.25
 #: So many of the best take each other's place where the likelihood is rough.
 EACH = 3
-#: So many of the best rivals of a lost round does it look beyond: a second effect may show only beside the first.
-STONES = 2
 #: So often at most does a round begin again from a smaller model that its rivals have shown a better place.
 AGAIN = 3
 #: Where a unit of deviance is worth less than so many, innovations are white and what they say needs no second filter.
@@ -185,26 +182,6 @@ def from_afar(
         return list(pool.map(fitted, far[:FAR]))
 
 
-def _from_brief(
-    cases: Sequence[Case], before: Point, candidates: Sequence[str], held: Mapping[str, float]
-) -> list[Hypothesis]:
-    """The most promising of what is seen by a filter that forgets before a bounce ends, fitted in full.
-
-    Where much is missing the motor does not bounce where the model has it bounce, and a filter that remembers for
-    longer leads an effect that is there into a valley of the bounces.
-    """
-    brief = likelihood.density_of(cases[0], valleys.BRIEF[0])
-    near = contest(cases, valleys.settle(cases, before.structure, before.values, held, brief), candidates)
-
-    def fitted(h: Hypothesis) -> Hypothesis:
-        found = valleys.lengthened(cases, h.point.structure, h.point.values, held, before.density)
-        promises = compare.earned(before, found) > HOPE * compare.LEAST
-        return Hypothesis(h.added, valleys.relocated(cases, found, held) if promises else found)
-
-    with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(fitted, near[:FAR]))
-
-
 def _alike(effect: str, winner: Hypothesis) -> bool:
     """Whether the effect is one that the winner is confused with."""
     other = winner.added[0]
@@ -268,7 +245,7 @@ def compete(
         best.update(_best(cases, before, [*best.values(), *found]))
 
     def leading(most: int) -> list[Hypothesis]:
-        return sorted(best.values(), key=lambda h: h.deviance)[:most]
+        return sorted(best.values(), key=lambda h: (not plausible(cases, h.point, before), h.deviance))[:most]
 
     with ThreadPoolExecutor(2) as pool:
         keep(list(pool.map(lambda h: _finish(cases, h, held, density), known)))
@@ -303,22 +280,6 @@ def compete(
     return _judged(cases, before, list(best.values()), held)
 
 
-def _hopeful(this: Round) -> list[Hypothesis]:
-    """The rivals that do something, if too little."""
-    hoped = compare.criterion(this.before, this.unit) - HOPE * compare.LEAST
-    return [h for h in this.rivals if compare.criterion(h.point, this.unit) < hoped]
-
-
-def again(cases: Sequence[Case], this: Round, candidates: Sequence[str], held: Mapping[str, float]) -> Round:
-    """A lost round once more, with what a filter sees that forgets sooner; where all is white that is no more, and
-    where no effect does anything it is nothing.
-    """
-    if this.won or this.unit < WHITE or not _hopeful(this):
-        return this
-    found = _from_brief(cases, this.before, candidates, held)
-    return _judged(cases, this.before, list(_best(cases, this.before, [*this.rivals, *found]).values()), held)
-
-
 def slower(cases: Sequence[Case], this: Round, candidates: Sequence[str], held: Mapping[str, float]) -> Round:
     """A lost round once more, for slow torques, with a filter that remembers for longer than the model is right: what
     they do in a tenth of a second drowns in what the model has wrong there, and grows with the square of the time.
@@ -339,28 +300,6 @@ def slower(cases: Sequence[Case], this: Round, candidates: Sequence[str], held: 
         return this
     found = compete(cases, before, seen, slow, held)
     return found if found.won and compare.earned(found.before, found.rivals[0].point) > PLAIN else this
-
-
-def beyond(
-    cases: Sequence[Case], this: Round, candidates: Sequence[str], held: Mapping[str, float]
-) -> tuple[Round, ...]:  # fmt: skip
-    """The two rounds that a lost one becomes where two effects together earn what neither does alone, or none.
-
-    What one effect leaves undone correlates the innovations, so that what the other does counts for little.
-    """
-    pairs = []
-    for stone in _hopeful(this)[:STONES]:
-        rest = [c for c in candidates if c not in stone.point.structure]
-        for h in contest(cases, stone.point, rest)[:1]:
-            pairs.append((stone, rest, Hypothesis(h.added, valleys.relocated(cases, h.point, held))))
-    for stone, rest, second in sorted(pairs, key=lambda pair: pair[-1].deviance):
-        if compare.earns(this.before, second.point):
-            following = compete(cases, stone.point, [second], rest, held)
-            if following.won and compare.earns(this.before, following.rivals[0].point):
-                first = Hypothesis(stone.added, following.before)
-                others = [h for h in this.rivals if h.added != stone.added]
-                return Round(this.before, (first, *others), this.unit), following
-    return ()
 
 
 def _best(
@@ -386,7 +325,7 @@ def _judged(
         before, stands = _tested(cases, before, h, held)
         if not stands and compare.earns(before, h.point):
             moved = valleys.relocated(cases, h.point, held)
-            if moved is not h.point:
+            if moved is not h.point and plausible(cases, moved, before):
                 h = Hypothesis(h.added, moved)
                 before, stands = _tested(cases, before, h, held)
         if stands:

@@ -104,16 +104,18 @@ def _grown(
         tell(f"round {len(rounds) + 1}: trying {len(open_)} effects", 0.05 + 0.2 * len(rounds))
         moved = valleys.relocated(cases, valleys.rejudged(cases, best, held), held) if rounds else best
         best = moved if plausible(cases, moved, best) else best
-        this = explain.again(cases, explain.compete(cases, best, known, open_, held), open_, held)
-        more = () if this.won or len(rounds) + 2 > MOST else explain.beyond(cases, this, open_, held)
-        rounds += more or [explain.slower(cases, this, open_, held)]
-        this = rounds[-1]
+        usual = explain.compete(cases, best, known, open_, held)
+        this = explain.slower(cases, usual, open_, held)
         if not this.won:
             best = this.before
+            rounds.append(this)
             break
         winner, best = this.rivals[0].point, _plainer(cases, this, held)
         known = [] if best is winner else [this.rivals[0]]
-        rounds[-1] = _bettered(this, best)
+        rounds.append(_bettered(this, best))
+        if this is not usual:
+            # Over so long a memory others would earn by a bounce's chance what they must.
+            break
     return best, rounds
 
 
@@ -428,13 +430,15 @@ def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) 
     if not rounds:
         return found
     known = valleys.settle(cases, known.structure, known.values, held, best.density)
-    best, lesser, swaps = _weighed(cases, best, known, rounds, held)
+    best, _, swaps = _weighed(cases, best, known, rounds, held)
     new = [e for e in best.structure.named if e not in known.structure]
     if not new:
         return found
+    first = valleys.settle(cases, found.first.structure, found.first.values, held, best.density)
+    # What had been found is judged beside what is new, each by itself.
+    lesser = _fits(cases, best, held, _smaller(best.structure, first.structure))
     best = _unmet(cases, best)
     swaps += _carried(cases, best, found.swaps, held, more=new)
-    first = valleys.settle(cases, found.first.structure, found.first.values, held, best.density)
     return Search(first, best, (*found.rounds, *rounds), tuple(cases), (*lesser, first), tuple(swaps))
 
 

@@ -17,8 +17,6 @@ from twin.likelihood import Case, Point
 
 #: The least memory of a filter that judges, s.
 MEMORY = 0.1
-#: Memories by way of which a filter is brought to remember for longer, s: a bounce is over by then.
-BRIEF = (0.02, 0.05)
 #: Noise densities within this factor judge alike.
 ALIKE = 1.5
 
@@ -89,16 +87,6 @@ def deepen(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Po
     likeliest = likelihood.fit(mine, point.structure, point.values, point.free, point.density, rounds=12)
     other = settle(cases, point.structure, likeliest.values, held, point.density)
     return min(point, other, key=lambda p: p.deviance)
-
-
-def lengthened(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float], density: float
-) -> Point:
-    """The maximum at a noise density by way of shorter memories, to which what moves a bounce makes no valley."""
-    for memory in BRIEF:
-        if memory < likelihood.memory_of(cases[0], density):
-            values = settle(cases, structure, values, held, likelihood.density_of(cases[0], memory)).values
-    return settle(cases, structure, values, held, density)
 
 
 def sharpened(cases: Sequence[Case], point: Point) -> Point:
