@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from twin import ascent, likelihood, locate, ready, screening, valleys
 from twin.axis import Structure
-from twin.effects.catalogue import EFFECTS
+from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.recording import Recording
 
 
@@ -26,6 +26,22 @@ def lines(position, torque, effect: str, name: str, unit: str = "rad") -> list[f
         patch.setattr(locate, "missing_torque", lambda *args: missing)
         tried = screening.grids([case], structure, ready.completed(structure, {}))[effect]
     return [row[name] for row in tried]
+
+
+@pytest.mark.parametrize("end", [0.5, 30.0, 30000.0])
+@pytest.mark.parametrize("ids", [("inertia", "dead_band"), ("inertia", "viscous_friction", "dead_band")])
+def test_every_candidate_is_tried_however_long_the_recording(monkeypatch, end: float, ids: tuple[str, ...]) -> None:
+    """A fade within its bounds, and also beside a first model that knows no viscous friction."""
+    time, structure = np.linspace(0.0, end, 2001), Structure.of(ids)
+    wave = np.sin(20.0 * np.pi * time / end)
+    recording = Recording("made", time, 30.0 * wave, 5.0 * wave, "%", "rad", 1e-4)
+    missing = locate.Missing(time, wave, 5.0 * wave, wave, wave, 30.0 * wave, float(time[1]))
+    monkeypatch.setattr(locate, "missing_torque", lambda *args: missing)
+    case = likelihood.prepare(recording, structure)
+    tried = screening.grids([case], structure, ready.completed(structure, {}))
+    assert set(tried) == set(CANDIDATES) and all(tried.values())
+    times = [row["fade_time"] for row in tried["thermal_fade"]]
+    assert all(1.0 <= t <= 3600.0 for t in times) and len(times) == len(set(times))
 
 
 def noisy(wave) -> np.ndarray:

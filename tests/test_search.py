@@ -316,6 +316,14 @@ def test_a_model_learns_nothing_from_one_that_is_no_longer_what_its_names_say() 
     assert search._fair(cases, here, [bent, less], less) is here
 
 
+def test_what_the_first_model_has_stays_where_what_contains_it_goes() -> None:
+    first = Structure.of([*BASE, "coulomb_friction"])
+    smaller = search._smaller(first.with_("stribeck_friction"), first)
+    assert [s.ids for s in smaller] == [first.ids]
+    alone = search._smaller(first.with_("stribeck_friction"), Structure.of(BASE))
+    assert {s.named for s in alone} == {("coulomb_friction",), ()}
+
+
 def test_what_a_law_misses_of_its_own_effect_is_no_other_effect() -> None:
     """Beside an effect that does much, another has to do more than one that is there alone."""
     nothing = np.eye(0)

@@ -101,6 +101,16 @@ def test_a_rival_takes_its_share_and_a_larger_model_none(also):
     assert pair.ids == ("gravity", "spring") and sum(pair.probabilities) == pytest.approx(known)
 
 
+def test_what_the_first_model_has_is_no_rival_to_what_is_missing():
+    """Nor does it take the chances of what was tried and did not earn a place."""
+    ranking = dict(extend._probabilities(searched(0.0, "motor_lag"))[1])
+    assert set(ranking) == {"gravity", "spring", "coulomb_friction"} and ranking["coulomb_friction"] == 0.0
+    before, tried = point(1000.0, "motor_lag"), point(995.0, "motor_lag", "spring")
+    nothing = Search(before, before, (Round(before, (Hypothesis(("spring",), tried),), 1.0, False),), ())
+    ((effect, probability),) = extend._probabilities(nothing)[1]
+    assert effect == "spring" and 0.4 < probability < 0.7
+
+
 def test_a_curve_in_the_place_of_a_name_takes_its_place_in_the_ranking():
     won = searched(1500.0)
     assert dict(extend._probabilities(won)[1])["gravity"] > 0.9
@@ -181,7 +191,7 @@ def test_a_rival_takes_the_place_only_of_what_it_shows_without(monkeypatch, reac
     monkeypatch.setattr(valleys, "settle", lambda cases, structure, values, held, density: rival)
     monkeypatch.setattr(valleys, "deepen", lambda cases, p, held: p)
     monkeypatch.setattr(search.explain, "shows", lambda cases, without, p: asked.append(without) or shows)
-    swaps = search._swapped((), last, [before], [close], {})
+    swaps = search._swapped((), last, before.structure, [before], [close], {})
     assert len(swaps) == kept and asked == ([before] if reached < 1000.0 + UNSURE else [])
 
 

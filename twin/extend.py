@@ -34,6 +34,7 @@ from twin.errors import BadInput
 from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
 from twin.hold_out import Part
 from twin.likelihood import Case, Point
+from twin.loop import own_loop
 from twin.model import Model
 from twin.recording import Recording
 from twin.search import UNSURE, Progress, Search
@@ -97,15 +98,16 @@ def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, fl
         named[effect] = float(weight[0])
         for rival, w in zip(against, weight[1:], strict=False):
             ranking[rival] = max(ranking.get(rival, 0.0), float(w))
+    # What the first model has is not missing, whatever could stand in its place.
+    new = {e: p for e, p in named.items() if e in found.last.structure.named and e not in found.first.structure}
+    # What took the place of all names, or of one, took the chances of what else was tried.
+    taken = bool(new) or any(i in UNKNOWN for i in found.last.structure.ids)
     for this in found.rounds[:1]:
-        # A curve that took the names' place took their chances, too.
-        curve = [found.last] if any(i in UNKNOWN for i in found.last.structure.ids) else []
-        tried = (*(h.point for h in this.rivals), this.before, *curve)
+        tried = (*(h.point for h in this.rivals), this.before)
         weight = compare.weights([compare.criterion(p, this.unit) for p in tried])
         for h, w in zip(this.rivals, weight, strict=False):
-            ranking.setdefault(h.added[0], 0.0 if named else float(w))
-    # What the first model has is not missing, whatever could stand in its place.
-    ranking |= {e: p for e, p in named.items() if e in found.last.structure.named}
+            ranking.setdefault(h.added[0], 0.0 if taken else float(w))
+    ranking |= new
     return named, tuple(sorted(ranking.items(), key=lambda pair: -pair[1]))
 
 
@@ -322,6 +324,13 @@ def _telling(found: Search) -> tuple[Case, unknown.Leftover]:
     return max(judged, key=lambda j: (j[1].size if unknown.is_left(j[1]) else 0.0, float(j[0].drive.time[-1])))
 
 
+def _lacking(found: Search) -> list[str]:
+    """The recordings in which the last model lacks something that goes with something."""
+    last = found.last
+    left = [(c, unknown.leftover(c, last.structure, last.values)) for c in found.cases]
+    return [c.recording.name for c, one in left if unknown.is_left(one)]
+
+
 def _searched(
     recordings: Sequence[Recording], first: Structure, held: Mapping[str, float], candidates: Sequence[str],
     progress: Progress | None,
@@ -358,6 +367,8 @@ def diagnose(
     """
     held = dict(held or {})
     tell = progress or (lambda sentence, share: None)
+    for recording in recordings if closed else ():
+        own_loop(recording)  # or the user is told, before the search takes its minutes
     clock = time.perf_counter()
     seconds: dict[str, float] = {}
 
@@ -387,6 +398,10 @@ def diagnose(
         verdict = "partly_explained" if set(found.last.structure.named) - {*first.named, *UNKNOWN} else "unexplained"
     else:
         found, verdict = _kept(found, nameless, unknown.verdict(named, *left))
+    others = _lacking(found) if verdict == "explained" else ()
+    if others:
+        verdict = "partly_explained"
+        said.append(f"What is left of the missing torque in {', '.join(others)} goes with something still.")
     lap("term without a name")
     tell("fitting both models to the end", 0.87)
     judged, last_point = foreseen if found.last is seen else _foreseeing(found)

@@ -103,7 +103,7 @@ class Diagnosis:
     after: Model
     fit: Mapping[str, Mapping[str, Fitness]]
     traces: tuple[Trace, ...]
-    missing_before: Missing  # of the longest training recording
+    missing_before: Missing  # of the training recording in which the first model lacks most
     missing_after: Missing
     shapes_before: tuple[Shape, ...]
     shapes_after: tuple[Shape, ...]

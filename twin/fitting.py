@@ -11,9 +11,10 @@ import numpy as np
 from twin import identify, kernel, ready, two_stage
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
+from twin.effects.end_stop import NOWHERE
 from twin.errors import BadInput
 from twin.model import Model
-from twin.recording import Recording, Rig
+from twin.recording import Recording, Rig, to_fit
 
 Progress = Callable[[str, float], None]
 
@@ -62,11 +63,13 @@ def with_largest_command(found: Model, recordings: Sequence[Recording]) -> Model
 
 
 def held_of(found: Model) -> dict[str, float]:
-    """The parameters that a model holds fixed: those without a standard error in a model that has some."""
+    """The parameters that a model holds fixed: those without a standard error in a model that has some, but not what a
+    note says was never looked for, nor a stop that stands nowhere, which the next recording may meet.
+    """
     if not found.fitted:
         return {}
-    estimated = [p.name for p in found.structure.parameters if p.estimated]
-    return {name: found.values[name] for name in estimated if name not in found.fitted}
+    known = [p.name for p in found.structure.parameters if p.estimated and p.name not in {*found.fitted, *found.notes}]
+    return {name: found.values[name] for name in known if found.values[name] != NOWHERE.get(name)}
 
 
 def estimate(
@@ -92,7 +95,7 @@ def estimate(
             found = identify.for_horizon(found, recordings, horizon, closed)
     else:
         tell("steady states and transients", 0.1)
-        train = [r for r in recordings if r.role == "train"]
+        train = to_fit(recordings)
         simple = two_stage.two_stage(train)
         if not simple.ok:
             raise BadInput(f"{train[0].name}: no two-stage estimate: {simple.says}; or use --method joint")

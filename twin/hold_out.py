@@ -22,7 +22,7 @@ from twin.likelihood import Case, Point
 from twin.locate import Missing
 from twin.loop import own_loop
 from twin.model import Model
-from twin.recording import Recording, driven
+from twin.recording import Recording, driven, to_fit
 
 #: Where in a lone recording the held-out part begins and ends, as shares of it.
 END, MIDDLE = (0.7, 1.0), (0.35, 0.65)
@@ -53,8 +53,11 @@ class Part:
 
 
 def split(recordings: Sequence[Recording], where: tuple[float, float] = END) -> tuple[list[Recording], list[Part]]:
-    """What may be fitted, and what is held out: the recordings of that role, or a part of each if there are none."""
-    train = [r for r in recordings if r.role == "train"]
+    """What may be fitted, and what is held out: the recordings of that role, or a part of each if there are none.
+
+    Raises BadInput where nothing is to be fitted.
+    """
+    train = to_fit(recordings)
     held_out = [Part(r) for r in recordings if r.role != "train"]
     if held_out:
         return train, held_out
@@ -75,8 +78,8 @@ def _free_run(fmu: Path, part: Part, lead: float, closed: bool) -> np.ndarray:
     seen = np.asarray(ran.velocity if recording.is_speed else ran.position_measured)[-int(part.inside.sum()) :]
     if part.begin > 0.0 and not recording.is_speed:
         recorded = recording.output[part.inside]
-        first = np.flatnonzero(np.isfinite(recorded))[0]
-        seen = seen + recorded[first] - seen[first]
+        read = np.flatnonzero(np.isfinite(recorded))
+        seen = seen + (recorded[read[0]] - seen[read[0]] if len(read) else 0.0)
     return seen
 
 
@@ -96,7 +99,7 @@ def traces(before: Model, after: Model, parts: Sequence[tuple[str, Part]], close
     """
     clocked = any(timed(m.structure) for m in (before, after))
     # Physics that depends on the time since the start must run from the start.
-    lead = math.inf if clocked else float(np.clip(3.0 / max(after.values["viscous_friction"], 1e-9), *_LEAD))
+    lead = math.inf if clocked else float(np.clip(3.0 / max(after.values.get("viscous_friction", 0.0), 1e-9), *_LEAD))
     out = []
     with tempfile.TemporaryDirectory() as folder:
         fmus = [package.export(m, Path(folder) / f"{i}.fmu") for i, m in enumerate((before, after))]
@@ -126,7 +129,7 @@ def unseen(cases: Sequence[Case], point: Point, held_out: Sequence[Part]) -> lis
     known, loud = max(left.size for _, left in fitted), max(missing.size for missing, _ in fitted)
     said = []
     for part in held_out:
-        (case,) = ready.prepare([driven(part.recording)], point.structure)
+        (case,) = ready.prepare([part.recording], point.structure)
         missing, left = lacks(case, part)
         least = FAINT * float(np.sqrt(np.mean(np.square(missing.acceleration))))
         if unknown.is_left(left) and left.size > max(BEYOND * known, least):

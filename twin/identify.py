@@ -20,7 +20,7 @@ from twin.axis import Structure
 from twin.errors import BadInput
 from twin.likelihood import Case, Point
 from twin.model import Model
-from twin.recording import Recording, known_quantities
+from twin.recording import Recording, known_quantities, to_fit
 
 #: Bounded and kinked parameters, whose likelihood is no parabola.
 PROFILED = ("dead_band_forward", "dead_band_reverse", "backlash_gap")
@@ -119,7 +119,7 @@ def for_horizon(model: Model, recordings: Sequence[Recording], horizon: float, c
         raise BadInput(f"the horizon is {horizon:g} s: give a time above 0")
     if not model.fitted or model.reading_std <= 0.0:
         raise BadInput("the model holds no estimate to start from: make it with twin identify")
-    train = [r for r in recordings if r.role == "train"]
+    train = to_fit(recordings)
     structure = model.structure
     open_ = ascent.choose_contacts(ready.prepare(train, structure), structure, model.values)
     cases = ready.with_steps(open_, structure)
@@ -187,9 +187,7 @@ def identify(
 ) -> Model:
     """The joint estimate of a structure from its training recordings. Raises BadInput."""
     tell = progress or (lambda sentence, share: None)
-    train = [r for r in recordings if r.role == "train"]
-    if not train:
-        raise BadInput("every recording has the role holdout: give at least one to fit")
+    train = to_fit(recordings)
     tell("a coarse fit", 0.0)
     held = dict(held or {})
     cases, begun = ascent.start(train, structure, held)

@@ -162,6 +162,14 @@ def driven(recording: Recording) -> Recording:
     )
 
 
+def to_fit(recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings that may be fitted. Raises BadInput where there are none."""
+    train = [r for r in recordings if r.role == "train"]
+    if not train:
+        raise BadInput("every recording has the role holdout: give at least one to fit")
+    return train
+
+
 def load(paths: Sequence[Path], rig: Path | None = None) -> tuple[list[Recording], Rig]:
     """Load recordings and manifests, all with the same rig.
 

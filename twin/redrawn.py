@@ -66,10 +66,11 @@ def _drawn(cases: Sequence[Case], last: Point, ids: Sequence[str], variable: str
     return min((unknown.finish(cases, p) for p in (sketched, begun)), key=lambda p: p.deviance)
 
 
-def _needed(cases: Sequence[Case], curve: Point, names: Sequence[str]) -> Point:
-    """The model with a curve, less the names that do nothing beside it."""
+def _needed(cases: Sequence[Case], first: Structure, curve: Point, names: Sequence[str]) -> Point:
+    """The model with a curve, less the names that do nothing beside it; what the first model has stays."""
     for effect in names:
-        structure = curve.structure.without(effect, *curve.structure.brought_by(effect))
+        brought = [i for i in curve.structure.brought_by(effect) if i not in first]
+        structure = curve.structure.without(effect, *brought)
         values = ready.completed(structure, curve.values)
         free = tuple(n for n in curve.free if n in values)
         mine = ready.with_steps(cases, structure)
@@ -161,4 +162,4 @@ def redrawn(cases: Sequence[Case], first: Structure, last: Point) -> Redrawn | N
     if best is None:
         return None
     others = [i for i in best.curve.structure.named if i in CANDIDATES and i not in first]
-    return replace(best, curve=_needed(cases, best.curve, others))
+    return replace(best, curve=_needed(cases, first, best.curve, others))

@@ -63,7 +63,7 @@ def _heating(missing: Missing, values: Mapping[str, float], span: float) -> floa
     one, a fade of a sixth would be larger than any fade may be.
     """
     share, gain = neutral("thermal_fade")["fade_emf"], max(values["input_gain"], 1e-9)
-    current = missing.command - share * values["viscous_friction"] / gain * missing.velocity
+    current = missing.command - share * values.get("viscous_friction", 0.0) / gain * missing.velocity
     mean = float(np.sqrt(np.nanmean(np.square(current)))) if np.isfinite(current).any() else span
     return min(max(mean, 0.05 * span), span)
 
@@ -115,9 +115,8 @@ def grids(
     rates = _lines(missing.time[read], missing.torque[read], _FINE * end, slowest, fastest)
     out["periodic_disturbance"] = [{"disturbance_frequency": r / _TURN} for r in rates]
     heats = _heating(missing, values, span)
-    out["thermal_fade"] = [
-        {"fade_time": f * end, "fade_reference": heats} for f in (0.15, 0.5, 1.5) if 1.0 <= f * end <= 3600.0
-    ]
+    fades = dict.fromkeys(np.clip([0.15 * end, 0.5 * end, 1.5 * end], *likelihood.bounds_of("fade_time")).tolist())
+    out["thermal_fade"] = [{"fade_time": t, "fade_reference": heats} for t in fades]
     out["supply_sag"] = [{**row, "sag_reference": span} for row in out["supply_sag"]]
     out["load_change"] = [{"load_time": f * end} for f in np.linspace(0.1, 0.9, 9)]
     out["drive_saturation"] = [{"saturation_limit": f * span} for f in (0.4, 0.55, 0.7, 0.85, 0.95)]

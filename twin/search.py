@@ -64,12 +64,17 @@ def behind(rival: Point, last: Point) -> float:
     return compare.ahead(last, rival) + UNSURE * (len(rival.structure.named) - len(last.structure.named))
 
 
+def _brought(structure: Structure, effect: str, keep: Structure) -> tuple[str, ...]:
+    """What goes with an effect that goes; what the first model has stays."""
+    return tuple(i for i in structure.brought_by(effect) if i not in keep)
+
+
 def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
     """The structure less one effect each, with and without what that effect brought along."""
     out = []
     for effect in structure.named:
         if effect not in keep:
-            brought = structure.brought_by(effect)
+            brought = _brought(structure, effect, keep)
             out += [structure.without(effect)] if brought else []
             out += [structure.without(effect, *brought)]
     return out
@@ -199,7 +204,7 @@ def _weighed(
     place of one if that now fits better; smaller models that it is held against; what could stand in an effect's place.
     """
     best, lesser = _pruned(cases, grown, begun, held)
-    swaps = _swapped(cases, best, lesser, rounds, held)
+    swaps = _swapped(cases, best, begun.structure, lesser, rounds, held)
     better = min(swaps, key=lambda w: behind(w.point, best), default=None)
     if better is None or behind(better.point, best) >= 0.0:
         return best, lesser, swaps
@@ -238,11 +243,12 @@ def contest_of(rounds: Sequence[Round], last: Structure, effect: str) -> Contest
 
 
 def _swapped(
-    cases: Sequence[Case], last: Point, lesser: Sequence[Point], rounds: Sequence[Round], held: Mapping[str, float]
+    cases: Sequence[Case], last: Point, first: Structure, lesser: Sequence[Point], rounds: Sequence[Round],
+    held: Mapping[str, float],
 ) -> list[Swap]:  # fmt: skip
     """The last model with each effect exchanged for every rival that had come close to it and shows in its place.
 
-    `lesser` are smaller models that the last one is held against.
+    `lesser` are smaller models that the last one is held against, down to the first.
     """
     out = []
     for effect in last.structure.named:
@@ -250,7 +256,7 @@ def _swapped(
         margin = max(UNSURE, NARROW * contest.gain)
         for h, short in contest.rivals:
             if short < margin:
-                own, brought = h.point, last.structure.brought_by(effect)
+                own, brought = h.point, _brought(last.structure, effect, first)
                 starts = ({**own.values, **last.values}, {**last.values, **own.values})
                 # What the effect had brought along may be there without it.
                 others = dict.fromkeys(last.structure.without(effect, *i).with_(*h.added) for i in ((), brought))

@@ -1,0 +1,34 @@
+"""What a given model holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from twin import fitting, ready, two_stage
+from twin.axis import Structure
+from twin.effects.catalogue import BASE
+from twin.effects.end_stop import NOWHERE
+from twin.model import Model
+from twin.recording import Recording
+from twin.two_stage import NAMES, TwoStage
+
+
+def test_held_is_what_a_model_has_without_a_standard_error() -> None:
+    structure = Structure.of([*BASE, "end_stop"])
+    values = ready.completed(structure, {"stop_lower": -1.5, "stop_upper": NOWHERE["stop_upper"]})
+    assert fitting.held_of(Model(structure, values)) == {}
+    free = tuple(n for n in ready.free_parameters(structure) if n not in ("motor_share", "stop_lower", "stop_upper"))
+    made = Model(structure, values, free, np.eye(len(free)))
+    # A stop that nothing met stands nowhere; the next recording may meet it.
+    assert fitting.held_of(made) == {"motor_share": values["motor_share"], "stop_lower": -1.5}
+    noted = replace(made, notes={"motor_share": "not estimated: nothing reverses"})
+    assert fitting.held_of(noted) == {"stop_lower": -1.5}
+
+
+def test_what_the_two_stage_method_does_not_look_for_is_not_held() -> None:
+    """A gap of nothing that is held would have to be explained by something else."""
+    steady = TwoStage("speeds", 5.0, 5.0, 4.0, 2.0, 0.4, np.eye(len(NAMES)), (), (), "made", True)
+    still = Recording("made", 0.002 * np.arange(9), np.arange(9.0), np.arange(9.0), "%", "rad", 1e-4)
+    assert fitting.held_of(two_stage.to_model(steady, [still])) == {}
