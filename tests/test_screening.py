@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from twin import ascent, likelihood, locate, ready, screening, valleys
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
+from twin.plausibility import plausible
 from twin.recording import Recording
 
 
@@ -42,6 +43,27 @@ def test_every_candidate_is_tried_however_long_the_recording(monkeypatch, end: f
     assert set(tried) == set(CANDIDATES) and all(tried.values())
     times = [row["fade_time"] for row in tried["thermal_fade"]]
     assert all(1.0 <= t <= 3600.0 for t in times) and len(times) == len(set(times))
+
+
+def test_what_depends_on_the_position_is_looked_for_along_the_way_where_a_speed_is_read() -> None:
+    """A ripple of ten times a turn over eight turns, and stops that no reading went beyond."""
+    structure = Structure.of(["inertia", "viscous_friction", "dead_band"])
+    there = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
+    time = 0.002 * np.arange(15000)
+    duty = np.full(len(time), 13.5) + steps(np.random.default_rng(2), len(time), 500, 1.0)
+    wave = {"ripple_torque": 0.5, "ripple_order": 10.0, "ripple_phase": 0.4}
+    y, states = run(structure.with_("torque_ripple"), there | wave, time, duty)
+    speed = states[:, 1]
+    assert 40.0 < np.ptp(y) < 60.0 and np.ptp(speed) < 2.0
+    case = likelihood.prepare(Recording("made", time, duty, speed, "%", "rad/s", 1e-4), structure)
+    assert np.abs(case.places - (y - y[0])).max() < 0.01 * np.ptp(y)
+    tried = screening.grids([case], structure, there)
+    assert min(abs(row["ripple_order"] - 10.0) for row in tried["torque_ripple"]) < 0.2
+    for row in tried["end_stop"]:
+        assert row["stop_upper"] > 0.9 * np.ptp(y) and row["stop_lower"] < 0.1 * np.ptp(y)
+    fitted = valleys.settle([case], structure, there, {}, likelihood.density_of(case, valleys.MEMORY))
+    longer = valleys.settle([case], structure.with_("torque_ripple"), there | wave, {}, fitted.density)
+    assert plausible([case], longer)
 
 
 def noisy(wave) -> np.ndarray:

@@ -251,6 +251,19 @@ def test_what_a_filter_learns_after_a_silence_is_no_missing_torque():
     assert np.nanmax(np.abs(seen[after])) < 2.0 * np.nanmax(np.abs(usual))
 
 
+@pytest.mark.parametrize(("unit", "count", "angles"), [("rad", 2, True), ("rad/s", 1, True), ("rad/s", 2, False)])
+def test_no_curve_over_angles_that_nobody_knows(monkeypatch, unit: str, count: int, angles: bool) -> None:
+    """Each of several recordings of speed begins at its own."""
+    case, point = fitted("nothing")
+    case = likelihood.prepare(replace(case.recording, output_unit=unit), STRUCTURE)
+    asked: list[Term] = []
+    monkeypatch.setattr(unknown, "which_terms", lambda one: [Term("angle", 3.0), Term("velocity")])
+    monkeypatch.setattr(unknown, "sketch", lambda cases, base, term: asked.append(term) or base)
+    monkeypatch.setattr(unknown, "finish", lambda cases, p: p)
+    extend._nameless(Search(point, point, (), count * (case,)), left(0.3, 0.0, 0.4), left(0.3, 0.0, 0.4), {})
+    assert Term("velocity") in asked and (Term("angle", 3.0) in asked) is angles
+
+
 def test_bump_over_position_is_found_and_drawn():
     case, base = fitted("bump")
     before = unknown.leftover(case, base.structure, base.values)

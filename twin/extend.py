@@ -38,7 +38,7 @@ from twin.loop import own_loop
 from twin.model import Model
 from twin.recording import Recording
 from twin.search import UNSURE, Progress, Search
-from twin.unknown import Term
+from twin.unknown import TERMS, Term
 from twin.writers import latex
 
 #: So many shapes without a name are drawn to the end; none where names likelier than this, which plainly foretell,
@@ -166,8 +166,11 @@ def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover, 
             return first
         bases.append(replace(first, values={n: last.values.get(n, v) for n, v in first.values.items()}))
         left.append(after)
-    shown = [t for one in left for t in unknown.which_terms(one)]
-    always = [Term(k) for k in ALWAYS if not (k == "position" and found.cases[0].drive.speed)]
+    speed = found.cases[0].drive.speed
+    # Several recordings of speed begin at angles that nobody knows.
+    strange = [k for k in TERMS if len(found.cases) > 1 and "position" in EFFECTS[f"unknown_{k}"].depends_on]
+    shown = [t for one in left for t in unknown.which_terms(one) if not (speed and t.kind in strange)]
+    always = [Term(k) for k in ALWAYS if not (k == "position" and speed)]
     terms = dict.fromkeys((*shown, *always))
     with ThreadPoolExecutor(2) as pool:
         tried = pool.map(lambda pair: unknown.sketch(found.cases, *pair), itertools.product(bases, terms))

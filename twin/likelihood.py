@@ -25,6 +25,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 
 from twin import kernel
 from twin.axis import EVERYTHING, STATES, Structure
@@ -125,6 +126,15 @@ class Case:
     def reach(self) -> tuple[float, float]:
         """The least and the largest reading, output unit."""
         return float(np.nanmin(self.recording.output)), float(np.nanmax(self.recording.output))
+
+    @cached_property
+    def places(self) -> FloatArray:
+        """Where the link was read to be (M,), axis unit; where a speed is read, since it began."""
+        y, time = self.recording.output, self.recording.time
+        seen = np.isfinite(y)
+        if not self.drive.speed:
+            return np.asarray(y[seen])
+        return np.asarray(cumulative_trapezoid(np.interp(time, time[seen], y[seen]), time, initial=0.0))
 
     @property
     def spread(self) -> float:

@@ -42,7 +42,7 @@ APART = 0.02
 
 
 def _places(cases: Sequence[Case]) -> NDArray[np.float64]:
-    return np.concatenate([c.recording.output[np.isfinite(c.recording.output)] for c in cases])
+    return np.concatenate([c.places for c in cases])
 
 
 def _ripple(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
@@ -114,7 +114,7 @@ def _stop(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     travel = float(np.ptp(places))
     deepest = max(float(places.max()) - values["stop_upper"], values["stop_lower"] - float(places.min()))
     depths = [
-        sign * (_places([case]) - values[stop]) / travel
+        sign * (case.places - values[stop]) / travel
         for case in cases
         for stop, sign in (("stop_upper", 1.0), ("stop_lower", -1.0))
     ]

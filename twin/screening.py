@@ -91,7 +91,7 @@ def grids(
     span = float(max(np.max(np.abs(c.recording.input)) for c in cases))
     end = float(longest.drive.time[-1])
     missing = locate.missing_torque(longest, structure, values)
-    places = np.concatenate([c.recording.output[np.isfinite(c.recording.output)] for c in cases])
+    places = np.concatenate([c.places for c in cases])
     travel = float(np.ptp(places))
     out: dict[str, list[dict[str, float]]] = {}
     for effect in CANDIDATES:
