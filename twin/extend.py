@@ -187,7 +187,7 @@ def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover, 
 
 def _learned(found: Search, nameless: Point) -> Search:
     """The search, its last model from where a curve stands that does more in all that both share: gap and teeth were
-    looked for anew beside the curve, and what they are worth is not the curve's.
+    looked for anew beside the curve, and what they are worth is not the curve's. Rivals begin there, too.
     """
     last = found.last
     if not compare.earns(last, nameless):
@@ -196,7 +196,8 @@ def _learned(found: Search, nameless: Point) -> Search:
     # Which side of the gap a torque acts on decides how it is crossed: from the wrong one no slope leads to the other.
     sides = [begun, *({**begun, "shaft_share": side} for side in (0.0, 1.0) if "shaft_share" in last.free)]
     fits = [valleys.settle(found.cases, last.structure, v, valleys.kept(last), last.density) for v in sides]
-    return replace(found, last=min([last, *fits], key=lambda p: p.deviance))
+    best = min([last, *fits], key=lambda p: p.deviance)
+    return found if best is last else search.renewed(found, best)
 
 
 def _outdone(found: Search, nameless: Point, left: Sequence[unknown.Leftover]) -> bool:

@@ -414,8 +414,9 @@ def _carried(
             out += _levelled(cases, last, [w.rival])
         else:
             structure = w.point.structure.with_(*more).without(*fewer)
-            point = valleys.settle(cases, structure, {**last.values, **w.point.values}, held, last.density)
-            out.append(Swap(w.effect, w.rival, point))
+            starts = ({**last.values, **w.point.values}, {**w.point.values, **last.values})
+            fits = [valleys.settle(cases, structure, v, held, last.density) for v in starts]
+            out.append(Swap(w.effect, w.rival, min(fits, key=lambda p: p.deviance)))
     return out
 
 
@@ -448,10 +449,16 @@ def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) 
     return Search(first, best, (*found.rounds, *rounds), tuple(cases), (*lesser, first), tuple(swaps))
 
 
+def renewed(found: Search, last: Point, fewer: Sequence[str] = ()) -> Search:
+    """The search with another last model, which may have fewer effects, and what that is held against fitted anew."""
+    kept = valleys.kept(last)
+    fits = _fits(found.cases, last, kept, _smaller(last.structure, found.first.structure))
+    swaps = _carried(found.cases, last, found.swaps, kept, fewer=fewer)
+    return replace(found, last=last, lesser=(*fits, found.first) if fits else (), swaps=tuple(swaps))
+
+
 def less(found: Search, effects: Sequence[str], values: Mapping[str, float]) -> Search:
-    """The search, its last model without some of its effects, from these values, and what that is held against."""
+    """The search, its last model without some of its effects, from these values."""
     kept, structure = valleys.kept(found.last), found.last.structure.without(*effects)
     last = valleys.settle(found.cases, structure, values, kept, found.last.density)
-    fits = _fits(found.cases, last, kept, _smaller(structure, found.first.structure))
-    swaps = _carried(found.cases, last, found.swaps, kept, fewer=effects)
-    return replace(found, last=last, lesser=(*fits, found.first) if fits else (), swaps=tuple(swaps))
+    return renewed(found, last, effects)
