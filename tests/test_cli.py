@@ -213,8 +213,9 @@ def test_wrong_arguments_take_one_line(capsys, bench):
         ["identify", "good.csv", "--out", "base.toml"],
         ["export", "model.toml", "--out", "arm.fmu"],
         ["export", "model.toml", "--out", "new.fmu", "--json", "good.csv"],
+        ["check", "arm.fmu", "--log", "good.csv", "--max-nrmse", "5", "--json", "base.toml"],
         ["update", "arm.fmu", "--from", "other.toml", "--out", "base.toml"],
-        ["simulate", "arm.fmu", "--log", "good.csv", "--out", "good.csv"],
+        ["simulate", "arm.fmu", "--log", "good.csv", "--out", "base.toml"],
         ["diagnose", "good.csv", "--out", "base.toml"],
         ["diagnose", "good.csv", "--out", "new.toml", "--report", "base.toml"],
         ["control", "model.toml", "--out", "c.toml"],
@@ -223,6 +224,65 @@ def test_wrong_arguments_take_one_line(capsys, bench):
 )
 def test_nothing_is_overwritten(capsys, bench, arguments):
     assert "--force" in refused(capsys, bench, *arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["identify", "good.csv", "--out", "good.csv"],
+        ["export", "model.toml", "--out", "./model.toml"],
+        ["update", "arm.fmu", "--from", "other.toml", "--out", "other.toml"],
+        ["simulate", "arm.fmu", "--log", "good.csv", "--out", "good.csv"],
+        ["check", "arm.fmu", "--log", "good.csv", "--max-nrmse", "5", "--json", "arm.fmu"],
+        ["diagnose", "good.csv", "--model", "base.toml", "--out", "new.toml", "--report", "base.toml"],
+        ["control", "model.toml", "--out", "model.toml"],
+        ["cosim", "arm.fmu", "c.toml", "--plot", "c.toml"],
+    ],
+)
+def test_what_is_read_is_written_over_by_no_force(capsys, bench, arguments):
+    assert "is read by this command" in refused(capsys, bench, *arguments, "--force")
+
+
+@pytest.mark.parametrize(
+    "arguments", [["run", "good.csv", "--out", "new"], ["control", "model.toml", "--out", "n.toml"]]
+)
+def test_a_bandwidth_that_no_controller_has_is_refused_at_once(capsys, bench, monkeypatch, arguments):
+    monkeypatch.setattr(cli, "_load", None)
+    for value in ("-1", "0", "nan", "inf"):
+        assert "--bandwidth" in refused(capsys, bench, *arguments, "--bandwidth", value)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["check", "arm.fmu", "--log", "LOG", "--max-nrmse", "5"],
+        ["simulate", "arm.fmu", "--log", "LOG"],
+        ["diagnose", "LOG", "--model", "base.toml", "--out", "new.toml"],
+    ],
+)
+@pytest.mark.parametrize(("column", "unit"), [("voltage", "V"), ("y_m", "m")])
+def test_what_is_compared_is_in_the_same_units(capsys, bench, arguments, column, unit):
+    """A model of a rig in percent says nothing about one in volts, and would seem to fit."""
+    head, *rows = good_lines()
+    names = head.split(",")
+    names[1 if unit == "V" else 2] = column
+    (bench / "other.csv").write_text("\n".join([",".join(names), *rows]))
+    said = refused(capsys, bench, *("other.csv" if a == "LOG" else a for a in arguments))
+    assert f"in {unit}" in said and ("in %" in said or "in rad" in said) and "same rig" in said
+
+
+def test_a_controller_of_a_turning_axis_moves_no_carriage(capsys, bench):
+    text = (bench / "c.toml").read_text().replace('axis_unit = "rad"', 'axis_unit = "m"').replace('"rad"', '"m"')
+    (bench / "m.toml").write_text(text)
+    assert "moves in rad" in refused(capsys, bench, "cosim", "arm.fmu", "m.toml")
+
+
+def test_a_full_disk_is_told_in_one_line(capsys, bench, monkeypatch):
+    def full(*given):
+        raise OSError(28, "No space left on device", "somewhere")
+
+    monkeypatch.setattr(package, "export", full)
+    assert "No space left" in refused(capsys, bench, "export", "model.toml", "--out", "new.fmu")
 
 
 def test_a_folder_with_results_is_not_overwritten(capsys, bench):

@@ -78,6 +78,8 @@ def test_blur_is_continuous_over_the_dead_band() -> None:
 @pytest.mark.parametrize("bandwidth", [0.0, -1.0, math.nan, math.inf, 1e4, 45.0])
 def test_absurd_or_unstable_bandwidth_is_refused(bandwidth: float) -> None:
     model = axis("joint_elasticity", joint_frequency=5.0, joint_damping=0.02)
+    with pytest.raises(BadInput, match="input_gain is 0"):
+        design(axis().with_values({"input_gain": 0.0}))
     with pytest.raises(BadInput, match="bandwidth"):
         design(model, bandwidth)
 

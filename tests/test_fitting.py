@@ -1,12 +1,13 @@
-"""What a given model holds."""
+"""What a given model holds, and what is told of one."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from twin import fitting, ready, two_stage
+from twin import extend, fitting, ready, recording, two_stage
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.effects.end_stop import NOWHERE
@@ -32,3 +33,17 @@ def test_what_the_two_stage_method_does_not_look_for_is_not_held() -> None:
     steady = TwoStage("speeds", 5.0, 5.0, 4.0, 2.0, 0.4, np.eye(len(NAMES)), (), (), "made", True)
     still = Recording("made", 0.002 * np.arange(9), np.arange(9.0), np.arange(9.0), "%", "rad", 1e-4)
     assert fitting.held_of(two_stage.to_model(steady, [still])) == {}
+
+
+@pytest.mark.parametrize(("unit", "known", "says"), [("rad", "inertia", "(0.06 N m)"), ("m", "mass", "(0.06 N)")])
+def test_where_the_inertia_is_known_torques_are_told(unit: str, known: str, says: str) -> None:
+    count = np.arange(9.0)
+    still = Recording("made", 0.002 * count, count, count, "%", unit, 1e-4, known={known: 0.02})
+    other = replace(still, known={"payload_mass": 0.02})
+    assert recording.inertia_of(still) == {"inertia": 0.02} and recording.inertia_of(other) == {}
+    structure = Structure.of([*BASE, "coulomb_friction"])
+    values = ready.completed(structure, {"coulomb_friction": 3.0, "viscous_friction": 2.0})
+    made = Model(structure, values, axis_unit=unit, known=recording.inertia_of(still))
+    assert f"({made.torque('coulomb_friction')})" == says
+    assert made.torque("viscous_friction") == "" and replace(made, known={}).torque("coulomb_friction") == ""
+    assert says in extend.says("coulomb_friction", made)

@@ -38,6 +38,18 @@ def test_a_long_recording_is_looked_at_in_parts_from_its_beginning_to_its_end() 
     assert ascent.glimpses(whole, STRUCTURE.with_("thermal_fade")) == whole
 
 
+def test_no_part_lies_in_a_pause() -> None:
+    """Somebody went for lunch: what was read before and after is looked at."""
+    recording = made(20000)
+    late = recording.time > 5.0
+    paused = replace(recording, time=recording.time + np.where(late, 600.0, 0.0))
+    # Nothing but a few seconds at the end.
+    lone = replace(paused, output=np.where(recording.time < 37.0, np.nan, recording.output))
+    for shown, least in ((paused, 900), (lone, 700)):
+        parts = ascent.glimpses(ready.prepare([shown], STRUCTURE), STRUCTURE)
+        assert len(parts) == 5 and all(np.isfinite(p.drive.measured).sum() > least for p in parts)
+
+
 @pytest.mark.parametrize("gap", [0.018, 0.1])
 def test_a_memory_that_grows_leads_from_another_gap_and_other_teeth_to_the_truth(gap: float) -> None:
     """A climb with the memory at which all ends gets no further than a valley nearby."""

@@ -42,6 +42,9 @@ def test_checks_hold_for_the_twin_and_fail_for_another(files: Path) -> None:
     assert checks.assert_nrmse(files / "axis.fmu", log, 0.5, rig) < 0.5
     assert checks.assert_tracking(files / "axis.fmu", controller, 0.01).peak < 0.01
     assert checks.assert_no_limit_cycle(files / "axis.fmu", controller).limit_cycle is None
+    assert np.ptp(checks.track(files / "axis.fmu", controller, "step").reference) > 0.0
+    (files / "reference.csv").write_text("time,position\n0,0\n1,0.1\n2,0.2\n3,0.2\n")
+    assert checks.track(files / "axis.fmu", controller, files / "reference.csv").reference[-1] == pytest.approx(0.2)
     assert not (files / "plots").exists()
     with pytest.raises(pytest.fail.Exception, match=r"no longer fits .*\n.*furthest off at .*\n.*plot: "):
         checks.assert_nrmse(files / "other.fmu", log, 0.5, rig)

@@ -61,7 +61,11 @@ def test_the_good_file_is_good(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("log", "words"),
     [
-        (csv(header="t,pwm,pos"), ["no column 'duty'", "t, pwm, pos"]),
+        (csv(header="t,pwm,pos"), ["no column 'duty'", "t, pwm, pos", "[input]"]),
+        (csv(header="t,Duty,pos"), ["no column 'duty'", "did you mean 'Duty'?"]),
+        (changed(79, "1e9,10,0.1"), ["line 81", "'t'", "1e+09 s after"]),
+        (changed(30, "0.300,65535,0.1"), ["line 32", "'duty'", "65535 %", "beyond full drive"]),
+        (csv([f"{2 * k},{k % 3},{k}" for k in range(80)]), ["'t'", "2 s from sample to sample", "ms"]),
         (changed(30, "0.300,10,abc"), ["log.csv", "line 32", "'pos'", "'abc'", "is no number"]),
         (changed(30, "0.300,1O,0.1"), ["line 32", "'duty'", "'1O'"]),
         (changed(40, "0.350,0,0.1"), ["line 42", "backwards", "0.35", "0.39"]),
@@ -109,6 +113,10 @@ def test_a_recording_that_cannot_be_used(tmp_path: Path, log: bytes | str, words
         ("[output]", "[structure]\neffects = 'gravity'\n[output]", ["list of names"]),
         ("[output]", "[known]\ninertia = true\n[output]", ["inertia = True", "number"]),
         ("[output]", "[known]\ninertia = nan\n[output]", ["inertia", "finite"]),
+        ("[output]", "[known]\ninertia = -1\n[output]", ["inertia = -1", "negative"]),
+        ("[output]", "[known]\ninertai = 1\n[output]", ["'inertai'", "did you mean 'inertia'"]),
+        ('column = "pos"', 'column = "duty"', ["[input] and [output]", "'duty'"]),
+        ('column = "t"', "sample_time = 2", ["sample_time", "2 s from sample to sample"]),
         ('column = "t"', "sample_time = -1", ["sample_time", "greater than 0"]),
         ('unit = "%"', 'unit = "V"\nfull_scale = 5299', ["full_scale"]),
         ('unit = "rad"', 'unit = "rad"\nscale = 0', ["scale = 0"]),
@@ -132,6 +140,9 @@ def test_a_rig_file_that_cannot_be_used(tmp_path: Path, old: str, new: str, word
         (["file,start,end", "log.csv,0,0.2"], ["only 21 samples"]),
         (["file,role", "log.csv"], ["line 2", "1 cells"]),
         (["file,role"], ["without rows"]),
+        (["File,role", "log.csv,train"], ["m.csv", "line 1", "'file'"]),
+        (["file,payload_mas", "log.csv,1"], ["'payload_mas'", "did you mean 'payload_mass'"]),
+        (["file,payload_mass", "log.csv,-1"], ["payload_mass = -1", "negative"]),
         (["file,role", "x" * 5000 + ",train"], ["line 2", "no such file"]),
     ],
 )

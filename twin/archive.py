@@ -68,6 +68,14 @@ class Fmu:
         """FMI 2's GUID, FMI 3's instantiation token."""
         return self.description.get("guid" if self.version == 2 else "instantiationToken", "")
 
+    def unit(self, name: str) -> str:
+        """The unit of a variable; empty where there is none, or no such variable."""
+        for node in self.description.findall("ModelVariables/*"):
+            if node.get("name") == name:
+                typed = node.find("Real")
+                return (node if typed is None else typed).get("unit", "")
+        return ""
+
     def references(self) -> dict[str, int]:
         """Value references by name. Raises BadInput."""
         found = {}

@@ -106,9 +106,12 @@ def glimpses(cases: Sequence[Case], structure: Structure, lasting: float = _LAST
         if end <= _PARTS * lasting:
             parts.append(case)
             continue
-        # Each begins with a reading: a part may lie in a long silence.
-        read = case.drive.time[np.isfinite(case.drive.measured) & (case.drive.time <= end - lasting)]
-        begins = read[np.linspace(0, len(read) - 1, _PARTS).astype(int)].tolist()
+        # Each begins with a reading and holds at least half as many as any: some would lie in a long silence.
+        read = case.drive.time[np.isfinite(case.drive.measured)]
+        held = np.searchsorted(read, read + lasting, "right") - np.arange(len(read))
+        full = read[2 * held >= held.max()]
+        full = full[full <= max(end - lasting, full[0])]
+        begins = full[np.linspace(0, len(full) - 1, _PARTS).astype(int)].tolist()
         parts += [ready.part(case, structure, begin, begin + lasting) for begin in begins]
     return parts
 

@@ -64,8 +64,9 @@ def _progress(args: argparse.Namespace) -> Iterator[Progress]:
     done = threading.Event()
 
     def draw() -> None:
-        # The work says little while it computes: a bar whose clock stands still looks like one that hangs.
-        if not done.wait(1.0):
+        # The work says little while it computes: a bar whose clock stands still looks like one that hangs. In a log
+        # each time is a line.
+        if not done.wait(1.0 if tty else 30.0):
             bar.delay = 0.0  # else tqdm takes the bar for one that was never drawn, and leaves it standing
             bar.refresh()
             while not done.wait(0.25 if tty else 30.0):
@@ -103,15 +104,25 @@ def _answer(args: argparse.Namespace, said: Sequence[str], answer: Answer) -> No
 
 
 def _check_outputs(args: argparse.Namespace, *outputs: Path | None) -> None:
-    """Before any work: every file that will be written may be written, and they are different files."""
+    """Before any work: every file that will be written may be written, is none that is read, and no two are one."""
     from twin.files import check_free
 
     named = [p for p in (*outputs, None if args.json in (None, "-") else Path(args.json)) if p is not None]
+    given = [getattr(args, name, None) for name in ("rig", "model", "fmu", "controller")]
+    read = [p.absolute() for p in (*getattr(args, "log", []), *given) if p is not None]
     for path in named:
-        check_free(path, getattr(args, "force", False))
+        if path.absolute() in read:
+            raise BadInput(f"{path} is read by this command: give what is written another name")
+        check_free(path, args.force)
     doubled = [str(p) for i, p in enumerate(named) if p.absolute() in [q.absolute() for q in named[:i]]]
     if doubled:
         raise BadInput(f"{doubled[0]} is named for two different outputs: give two names")
+
+
+def _check_bandwidth(args: argparse.Namespace) -> None:
+    """Raises BadInput for one that no controller has, before a search takes its minutes."""
+    if args.bandwidth is not None and not 0.0 < args.bandwidth < float("inf"):
+        raise BadInput(f"--bandwidth is {args.bandwidth:g} Hz: give a number above 0")
 
 
 def _assumptions(rig: Rig) -> list[str]:
@@ -146,8 +157,9 @@ def _parameter_lines(model: Model) -> list[str]:
     lines = []
     for p in model.structure.parameters:
         value = measure(model.values[p.name], model.std(p.name), model.unit(p.name))
+        torque = f" = {model.torque(p.name)}" if model.torque(p.name) else ""
         note = f"  ({model.notes[p.name]})" if p.name in model.notes else ""
-        lines.append(f"  {p.name:<{width}}  {value}{note}")
+        lines.append(f"  {p.name:<{width}}  {value}{torque}{note}")
     return lines
 
 
@@ -156,6 +168,7 @@ def _parameter_lines(model: Model) -> list[str]:
 
 def _run(args: argparse.Namespace) -> int:
     _check_outputs(args)
+    _check_bandwidth(args)
     with _progress(args) as tell:
         recordings, rig = _load(args, tell)
         from twin import cosim, finding, phrases, pipeline
@@ -376,8 +389,12 @@ def _diagnose(args: argparse.Namespace) -> int:
     with _progress(args) as tell:
         recordings, rig = _load(args, tell)
         from twin import extend, files, finding, fitting, model, phrases
+        from twin.recording import check_units
 
         given = None if args.model is None else model.read(args.model)
+        if given is not None:
+            for r in recordings:
+                check_units(r, str(args.model), given.input_unit, given.axis_unit)
         structure = fitting.first_structure(rig, args.more, args.fewer, None if given is None else given.structure)
         fitting.compile_kernel(tell)
         d = extend.diagnose(
@@ -406,6 +423,7 @@ def _diagnose(args: argparse.Namespace) -> int:
 
 def _control(args: argparse.Namespace) -> int:
     _check_outputs(args, args.out)
+    _check_bandwidth(args)
     from twin import model
 
     known = model.read(args.model)
@@ -500,6 +518,7 @@ def _common() -> _Parser:
     common = _Parser(add_help=False)
     common.add_argument("--quiet", action="store_true", help="no progress bar and no sentences")
     common.add_argument("--json", metavar="FILE", help="write the result as JSON; - for stdout")
+    common.add_argument("--force", action="store_true", help="overwrite what is there")
     return common
 
 
@@ -528,7 +547,6 @@ def _add_structure(command: argparse.ArgumentParser) -> None:
 
 def _add_out(command: argparse.ArgumentParser, metavar: str, required: bool = True, text: str = "") -> None:
     command.add_argument("--out", type=Path, required=required, metavar=metavar, help=text or "what is written")
-    command.add_argument("--force", action="store_true", help="overwrite what is there")
 
 
 def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
@@ -666,6 +684,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115, PTH123
         return 0
+    except OSError as error:
+        # A full disk, a name that is too long: no fault of ours, and told in one line.
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"twin: {where}{error.strerror or error}: give another place or make room", file=sys.stderr)
+        return 2
     except Exception as error:
         print(f"twin: internal error, {type(error).__name__}: {' '.join(str(error).split())}; "
               "set TWIN_DEBUG=1 for the traceback", file=sys.stderr)  # fmt: skip

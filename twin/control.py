@@ -312,8 +312,11 @@ def _remarks(model: Model, controller: Controller) -> list[str]:
 def design(model: Model, bandwidth: float | None = None, limit: float | None = None) -> Controller:
     """The controller for a model. `bandwidth` in Hz (None: chosen), `limit` the largest command.
 
-    Raises BadInput for a bandwidth that the sample time, the delay or the loop's stability rule out.
+    Raises BadInput for a bandwidth that the sample time, the delay or the loop's stability rule out, and for an axis
+    that no command moves.
     """
+    if not model.values["input_gain"] > 0.0:
+        raise BadInput(f"input_gain is {model.values['input_gain']:g}: nothing moves this axis; identify it again")
     largest, assumed = _limit(model, limit)
     draft = _draft(model, largest)
     says = [assumed] if assumed else []

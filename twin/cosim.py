@@ -180,6 +180,11 @@ def open_plant(
     """The plant FMU, started at a position. Raises BadInput."""
     fmu = open_fmu(path)
     names = _names(fmu, controller, mapping)
+    unit = fmu.unit(names["position"])
+    if unit and unit != controller.axis_unit:
+        raise BadInput(
+            f"{path} moves in {unit}, the controller in {controller.axis_unit}: design it from this FMU's model"
+        )
     if same_structure:
         _check_structure(fmu, controller)
     start = {"position_start": position} if "position_start" in fmu.references() else {}

@@ -74,7 +74,8 @@ def says(effect: str, model: Model) -> str:
             value, std = model.values[p.name], model.std(p.name)
             unit = model.unit(p.name)
             spread = f" ± {std:.2g}" if math.isfinite(std) else ""
-            number = f"{value:.3g}{spread}{'' if unit == '1' else ' ' + unit}"
+            torque = f" ({model.torque(p.name)})" if model.torque(p.name) else ""
+            number = f"{value:.3g}{spread}{'' if unit == '1' else ' ' + unit}{torque}"
             shown[p.name] = "none met" if value == NOWHERE.get(p.name) else number
     return EFFECTS[effect].sentence.format(**shown)
 

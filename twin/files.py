@@ -27,9 +27,9 @@ def check_free(out: Path, force: bool) -> None:
 def check_place(folder: Path) -> None:
     """Raises BadInput where nothing can be written into a folder."""
     if not folder.is_dir():
-        raise BadInput(f"{folder} is not a folder: make it first, or choose another place with --out")
+        raise BadInput(f"{folder} is not a folder: make it first, or choose another place")
     if not os.access(folder, os.W_OK):
-        raise BadInput(f"{folder} may not be written to: choose another place with --out")
+        raise BadInput(f"{folder} may not be written to: choose another place")
 
 
 def put(out: Path, content: str | bytes) -> None:
@@ -48,7 +48,7 @@ def put(out: Path, content: str | bytes) -> None:
             Path(name).unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise BadInput(f"{out} cannot be written ({error.strerror}): choose another place with --out") from None
+        raise BadInput(f"{out} cannot be written ({error.strerror}): choose another place") from None
 
 
 def zipped(files: Mapping[str, bytes]) -> bytes:

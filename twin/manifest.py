@@ -31,6 +31,8 @@ def entries_of(path: Path) -> list[Entry]:
         return [Entry(path)]
     rows = read_rows(path)
     if "file" not in rows.header:
+        if any(name.lower() == "file" for name in rows.header):
+            raise BadInput(f"{path}: line 1: a manifest's column is 'file', in small letters; rename it")
         return [Entry(path)]
     table = _table(rows)
     numeric = [

@@ -69,6 +69,15 @@ class Model:
     def unit(self, name: str) -> str:
         return self.parameter(name).unit_for(self.axis_unit, self.input_unit)
 
+    def torque(self, name: str) -> str:
+        """A parameter that is an acceleration as the torque (N*m) or force (N) that it is; empty where it is none, or
+        the inertia is not known.
+        """
+        inertia = self.known.get("inertia", 0.0)
+        if not inertia or self.unit(name) != f"{self.axis_unit}/s^2":
+            return ""
+        return f"{inertia * self.values[name]:.3g} {'N' if self.axis_unit == 'm' else 'N m'}"
+
     def with_values(self, values: Mapping[str, float]) -> Model:
         return replace(self, values={**self.values, **values})
 

@@ -25,8 +25,8 @@ from twin.axis import KNOWN
 from twin.errors import BadInput
 from twin.files import check_free, put
 from twin.loop import own_loop
-from twin.model import Model, dumps, loads
-from twin.recording import Recording
+from twin.model import INPUT_NAMES, Model, dumps, loads
+from twin.recording import Recording, check_units
 from twin.running import running
 from twin.variables import OUTPUTS, ROUND, delay_capacity, parameters_text, variables
 from twin.writers import c, python
@@ -154,7 +154,8 @@ def update(fmu: Path, model: Model, out: Path | None = None) -> Path:
         new.comment = old.comment
         for info in old.infolist():
             content = fresh.get(info.filename)
-            new.writestr(info, old.read(info) if content is None else content)
+            kept = opened.read(info.filename) if info.filename in opened.members else b""
+            new.writestr(info, kept if content is None else content)
     put(out or fmu, target.getvalue())
     return out or fmu
 
@@ -234,6 +235,8 @@ def replay(
     inputs = [node.get("name", "") for node in shown if node.get("causality") == "input"]
     if len(inputs) != 1:
         raise BadInput(f"{fmu} has {len(inputs)} inputs, not one: give an FMU that twin export wrote")
+    units = {name: unit for unit, name in INPUT_NAMES.items()}
+    check_units(recording, str(fmu), units.get(inputs[0], ""), opened.unit("position"))
     position, velocity = start_of(recording) if start is None else start
     values = {"position_start": float(position), "velocity_start": float(velocity)}
     values |= {name: float(value) for name, value in recording.known.items() if name in KNOWN and name in names}

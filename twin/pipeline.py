@@ -119,4 +119,4 @@ def _publish(scratch: Path, out: Path) -> None:
             else:
                 (out / name).unlink(missing_ok=True)
     except OSError as error:
-        raise BadInput(f"{out} cannot be written ({error.strerror}): choose another place with --out") from None
+        raise BadInput(f"{out} cannot be written ({error.strerror}): choose another place") from None

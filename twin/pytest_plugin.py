@@ -22,7 +22,7 @@ from twin.controller import Controller
 from twin.cosim import Tracking, run
 from twin.errors import BadInput
 from twin.package import Replay, replay
-from twin.reference import Reference
+from twin.reference import KINDS, Reference, make_reference, read_reference
 
 FloatArray = NDArray[np.floating]
 
@@ -84,10 +84,16 @@ class Checks:
         return worst
 
     def track(
-        self, fmu: str | Path, controller: str | Path | Controller, reference: Reference | None = None
+        self, fmu: str | Path, controller: str | Path | Controller, reference: Reference | str | Path | None = None
     ) -> Tracking:
-        """The closed loop in FMPy. Raises BadInput."""
+        """The closed loop in FMPy, over a CSV with time and position, or `minimum-jerk`, `sine`, `step`.
+
+        Raises BadInput.
+        """
         made = controller if isinstance(controller, Controller) else controllers.read(Path(controller))
+        if isinstance(reference, str | Path):
+            kind = str(reference)
+            reference = make_reference(kind, made) if kind in KINDS else read_reference(Path(kind), made.sample_time)
         return run(Path(fmu), made, reference)
 
     def assert_tracking(
@@ -95,7 +101,7 @@ class Checks:
         fmu: str | Path,
         controller: str | Path | Controller,
         max_peak: float,
-        reference: Reference | None = None,
+        reference: Reference | str | Path | None = None,
     ) -> Tracking:
         """The closed loop; fails where the peak error exceeds `max_peak`, in the axis' unit."""
         tracking = self.track(fmu, controller, reference)
@@ -109,7 +115,7 @@ class Checks:
         return tracking
 
     def assert_no_limit_cycle(
-        self, fmu: str | Path, controller: str | Path | Controller, reference: Reference | None = None
+        self, fmu: str | Path, controller: str | Path | Controller, reference: Reference | str | Path | None = None
     ) -> Tracking:
         """The closed loop; fails where it hunts at rest."""
         tracking = self.track(fmu, controller, reference)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,10 @@ __all__ = [
 FloatArray = npt.NDArray[np.float64]
 
 _LEAST_SAMPLES = 50
+#: A sample time, s, a duty, %, and a pause, s, beyond which a unit is wrong or a cell is bad.
+_SLOWEST, _FULL, _PAUSE = 0.5, 1e4, 1e5
+#: Known quantities that mean something to twin; others may be there for the gains of a loop.
+MEANT = ("inertia", "mass", "payload_mass", "arm_length", "arm_mass", "payload_inertia", "payload_moment")
 _INPUT_WORDS = {"%": "duty", "V": "voltage", "A": "current", "N*m": "torque", "N": "force"}
 _COUNTERS = tuple(float(2**bits) for bits in (8, 10, 12, 14, 16, 24, 32))
 
@@ -146,6 +151,12 @@ def known_quantities(recording: Recording) -> dict[str, float]:
     }
 
 
+def inertia_of(recording: Recording) -> dict[str, float]:
+    """The axis' inertia (kg m^2), of a linear axis its mass (kg), where the user knows it."""
+    known = recording.known.get("mass" if recording.output_unit.startswith("m") else "inertia")
+    return {} if known is None else {"inertia": known}
+
+
 def command_of(recording: Recording) -> FloatArray:
     """The input as it acts: a duty drives in proportion to the supply where that is logged."""
     supply = recording.optional.get("supply")
@@ -160,6 +171,17 @@ def driven(recording: Recording) -> Recording:
     return replace(
         recording, input=command_of(recording), known={**recording.known, **known_quantities(recording)}
     )
+
+
+def check_units(recording: Recording, where: str, input_unit: str, axis_unit: str) -> None:
+    """Raises BadInput where a model or an FMU is in other units than the recording; an empty unit is not known."""
+    pairs = ((input_unit, recording.input_unit, "input"), (axis_unit, recording.output_unit.removesuffix("/s"), "axis"))
+    for theirs, ours, what in pairs:
+        if theirs and theirs != ours:
+            raise BadInput(
+                f"{where} has its {what} in {theirs}, {recording.name} in {ours}: give a recording of the same rig, or "
+                "the rig file that says what its columns are"
+            )
 
 
 def to_fit(recordings: Sequence[Recording]) -> list[Recording]:
@@ -185,6 +207,8 @@ def load(paths: Sequence[Path], rig: Path | None = None) -> tuple[list[Recording
         raise BadInput("no recording given; name at least one file")
     entries = [entry for path in paths for entry in entries_of(Path(path))]
     chosen = _choose_rig([Path(paths[0]), entries[0].path], rig)
+    if rig is None:
+        _check_one_rig([Path(p) for p in paths])
     tables: dict[Path, Table] = {}
     recordings = []
     for entry in entries:
@@ -207,6 +231,14 @@ def _choose_rig(beside: Sequence[Path], rig: Path | None) -> Rig | None:
     return None
 
 
+def _check_one_rig(paths: Sequence[Path]) -> None:
+    """Raises BadInput where rig files beside the recordings say different things."""
+    files = [f for f in dict.fromkeys(path.parent / "rig.toml" for path in paths) if f.is_file()]
+    for other in files[1:]:
+        if other.read_bytes() != files[0].read_bytes():
+            raise BadInput(f"{files[0]} and {other} differ: name the one that holds for all recordings with --rig")
+
+
 def _guess(table: Table) -> Rig:
     rig = guess_rig(table.name, table.names, table.clock is not None, {})
     (drive,) = table.columns([rig.input.name])
@@ -216,7 +248,7 @@ def _guess(table: Table) -> Rig:
 
 def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
     clock = _clock(table, rig.time)
-    wanted = _wanted(rig, clock)
+    wanted = _wanted(table, rig, clock)
     raw = dict(zip(wanted, table.columns(wanted), strict=True))
     time, rows, faults = _time(table, clock, raw, rig)
     raw = {name: values[rows] for name, values in raw.items()}
@@ -237,6 +269,7 @@ def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
             time, _convert(raw[rig.loop.reference], rig.output), "reference", table.name
         )
         faults += found
+    _check_sense(table, rig, clock, time, drive, rows)
     recording = Recording(
         name=Path(table.name).name,
         time=time,
@@ -264,6 +297,32 @@ def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
     return recording
 
 
+def _check_sense(
+    table: Table, rig: Rig, clock: Clock, time: FloatArray, drive: FloatArray, rows: npt.NDArray[np.intp]
+) -> None:
+    """Raises BadInput for numbers that no axis makes, which a wrong unit or a bad cell does."""
+    step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
+    if step > _SLOWEST:
+        said = f"column '{clock.column}'" if clock.column is not None else "sample_time"
+        raise BadInput(
+            f"{table.name}: {said} makes {step:g} s from sample to sample, too slow to see an axis move; "
+            f'if it is in ms, say unit = "ms" in [time] of {"a rig.toml" if rig.assumed else rig.name}'
+        )
+    pause = np.diff(time)
+    if time.size > 1 and pause.max() > _PAUSE:
+        row = int(np.argmax(pause)) + 1
+        raise BadInput(
+            f"{table.name}: {table.where(int(rows[row]))}, column '{clock.column}': {pause.max():.6g} s after the sample "
+            "before; correct that stamp, or split the recording"
+        )
+    beyond = np.flatnonzero(np.abs(drive) > _FULL)
+    if rig.input.unit == "%" and beyond.size:
+        raise BadInput(
+            f"{table.name}: {table.where(int(rows[beyond[0]]))}, column '{rig.input.name}': {drive[beyond[0]]:.6g} % "
+            "is far beyond full drive; correct or empty it, or give [input] full_scale in the rig file"
+        )
+
+
 def _clock(table: Table, clock: Clock) -> Clock:
     """The clock with its column settled: as the rig file says, else the format's own stamps, else by name."""
     if clock.column is not None or clock.sample_time is not None:
@@ -277,12 +336,24 @@ def _clock(table: Table, clock: Clock) -> Clock:
     return found
 
 
-def _wanted(rig: Rig, clock: Clock) -> list[str]:
-    """Names of the columns to read, the output first (its clock is the clock of the recording)."""
-    names = [rig.output.name, rig.input.name, *(column.name for column in rig.optional.values())]
-    names += [rig.loop.reference] if rig.loop is not None else []
-    names += [clock.column] if clock.column is not None else []
-    return list(dict.fromkeys(names))
+def _wanted(table: Table, rig: Rig, clock: Clock) -> list[str]:
+    """Names of the columns to read, the output first (its clock is the clock of the recording). Raises BadInput where
+    one is missing.
+    """
+    named = {"output": rig.output.name, "input": rig.input.name}
+    named |= {f"optional.{key}": column.name for key, column in rig.optional.items()}
+    named |= {"loop": rig.loop.reference} if rig.loop is not None else {}
+    named |= {"time": clock.column} if clock.column is not None else {}
+    for role, name in named.items():
+        if name not in table.names and name != table.clock:
+            near = get_close_matches(name, table.names, 1) or [n for n in table.names if n.lower() == name.lower()]
+            meant = f"; did you mean '{near[0]}'?" if near else ""
+            says = f"which {rig.name} says is its [{role}]" if not rig.assumed else f"taken for the {role} by its name"
+            raise BadInput(
+                f"{table.name}: no column '{name}', {says}{meant}; columns are: {', '.join(table.names)}; correct the "
+                "rig file, or give one with --rig"
+            )
+    return list(dict.fromkeys(named.values()))
 
 
 def _time(
@@ -393,7 +464,15 @@ def _clean(
 def _known(rig: Rig, table: Table, entry: Entry) -> dict[str, float]:
     where = f"{rig.name} [known]"
     known = {key: _lookup(value, table, entry, f"{where} {key}") for key, value in rig.known.items()}
-    return {**known, **entry.known}
+    known = {**known, **entry.known}
+    for key, value in known.items():
+        said = where if key in rig.known else f"{table.name}: manifest"
+        near = [] if key in MEANT else get_close_matches(key, MEANT, 1, 0.85)
+        if near:
+            raise BadInput(f"{said}: unknown quantity '{key}'; did you mean '{near[0]}'?")
+        if value < 0.0 and key in MEANT and key != "payload_moment":
+            raise BadInput(f"{said}: {key} = {value:g} must not be negative")
+    return known
 
 
 def _lookup(value: float | str, table: Table, entry: Entry, where: str) -> float:

@@ -148,6 +148,10 @@ def _rig(table: Mapping[str, Any], where: str) -> Rig:
     for key in ("input", "output"):
         if key not in table:
             raise BadInput(f"{where}: [{key}] is missing; say which column it is and in what unit")
+    roles = {key: _table(table, key, where).get("column") for key in ("time", "input", "output")}
+    for key, other in (("input", "output"), ("time", "input"), ("time", "output")):
+        if roles[key] is not None and roles[key] == roles[other]:
+            raise BadInput(f"{where}: [{key}] and [{other}] are both column '{roles[key]}'; name two columns")
     optional = _table(table, "optional", where)
     _check_keys(optional, OPTIONAL_UNITS, f"{where} [optional]")
     structure = _table(table, "structure", where)
@@ -183,7 +187,8 @@ def _clock(table: Mapping[str, Any], where: str) -> Clock:
         raise BadInput(f"{where}: give either column or sample_time, not both")
     if sample_time is not None and sample_time <= 0:
         raise BadInput(f"{where}: sample_time = {sample_time:g} must be greater than 0 s")
-    return Clock(column, _unit(table, TIME_UNITS, where, default="s")[1], sample_time)
+    factor = _unit(table, TIME_UNITS, where, default="s")[1]
+    return Clock(column, factor, None if sample_time is None else sample_time * factor)
 
 
 def _column(table: Mapping[str, Any], units: Units, where: str, more: Sequence[str] = ()) -> Column:
