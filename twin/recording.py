@@ -312,8 +312,8 @@ def _check_sense(
     if time.size > 1 and pause.max() > _PAUSE:
         row = int(np.argmax(pause)) + 1
         raise BadInput(
-            f"{table.name}: {table.where(int(rows[row]))}, column '{clock.column}': {pause.max():.6g} s after the sample "
-            "before; correct that stamp, or split the recording"
+            f"{table.name}: {table.where(int(rows[row]))}, column '{clock.column}': {pause.max():.6g} s after the "
+            "sample before; correct that stamp, or split the recording"
         )
     beyond = np.flatnonzero(np.abs(drive) > _FULL)
     if rig.input.unit == "%" and beyond.size:
