@@ -91,14 +91,9 @@ def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, fl
     for effect in dict.fromkeys((*found.last.structure.named, *(w.effect for w in found.swaps))):
         if effect in UNKNOWN:
             continue
-        contest = search.contest_of(found.rounds, found.last.structure, effect)
-        against = {h.added[0]: max(behind, 0.0) for h, behind in contest.rivals}
-        against |= {w.rival: search.behind(w.point, found.last) for w in found.swaps if w.effect == effect}
-        without = [compare.earned(q, found.last) for q in found.lesser if effect not in q.structure]
-        weight = compare.weights([0.0, *against.values(), *([min(without)] if without else [])])
-        named[effect] = float(weight[0])
-        for rival, w in zip(against, weight[1:], strict=False):
-            ranking[rival] = max(ranking.get(rival, 0.0), float(w))
+        named[effect], others = search.shares(found, effect)
+        for rival, share in others.items():
+            ranking[rival] = max(ranking.get(rival, 0.0), share)
     # What the first model has is not missing, whatever could stand in its place.
     new = {e: p for e, p in named.items() if e in found.last.structure.named and e not in found.first.structure}
     # What took the place of all names, or of one, took the chances of what else was tried.

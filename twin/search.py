@@ -28,6 +28,8 @@ UNSURE = 3.0 * compare.TEMPER
 CERTAIN = 3.0
 #: So often at most are meetings that a model foresees looked for, since another judgement moves the model.
 FORESEEN = 2
+#: What only a closer look shows is to be likelier than all that could stand in its place.
+LIKELIER = 0.5
 #: A rival that had earned all but this share of what the winner did is tried in its place.
 NARROW = 0.1
 
@@ -242,6 +244,18 @@ def contest_of(rounds: Sequence[Round], last: Structure, effect: str) -> Contest
     return Contest(0.0, ())
 
 
+def shares(found: Search, effect: str) -> tuple[float, dict[str, float]]:
+    """What of all that is certain an effect of the last model has, and what each rival that could stand in its place;
+    its absence has the rest.
+    """
+    contest = contest_of(found.rounds, found.last.structure, effect)
+    against = {h.added[0]: max(short, 0.0) for h, short in contest.rivals}
+    against |= {w.rival: behind(w.point, found.last) for w in found.swaps if w.effect == effect}
+    without = [compare.earned(q, found.last) for q in found.lesser if effect not in q.structure]
+    own, *others = compare.weights([0.0, *against.values(), *([min(without)] if without else [])])
+    return float(own), {rival: float(w) for rival, w in zip(against, others, strict=False)}
+
+
 def _swapped(
     cases: Sequence[Case], last: Point, first: Structure, lesser: Sequence[Point], rounds: Sequence[Round],
     held: Mapping[str, float],
@@ -427,7 +441,7 @@ def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) 
     Where a motor rattles the errors of a tenth of a second hang together, and a unit of deviance is worth a fiftieth of
     what it is to such a filter: it sees a faint effect beside those that were found. But it forgets slow torques, and
     how friction gives at rest weighs for it as much as what moves the axis: so it takes nothing back and decides
-    nothing about what had been found.
+    nothing about what had been found. What is faint, and might as well be something else, is no discovery.
     """
     cases, known = _sharp(found.cases, found.last)
     if known.density < valleys.ALIKE * found.last.density and all(c.unforeseen is None for c in cases):
@@ -446,7 +460,8 @@ def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) 
     lesser = _fits(cases, best, held, _smaller(best.structure, first.structure))
     best = _unmet(cases, best)
     swaps += _carried(cases, best, found.swaps, held, more=new)
-    return Search(first, best, (*found.rounds, *rounds), tuple(cases), (*lesser, first), tuple(swaps))
+    seen = Search(first, best, (*found.rounds, *rounds), tuple(cases), (*lesser, first), tuple(swaps))
+    return found if any(shares(seen, e)[0] < LIKELIER for e in new) else seen
 
 
 def renewed(found: Search, last: Point, fewer: Sequence[str] = ()) -> Search:
