@@ -338,6 +338,18 @@ def test_check_is_for_ci(capsys, bench):
     assert answer["holds"] is False and answer["fit"][0]["nrmse_percent"] > 1e-6
 
 
+def test_what_a_recording_lacks_is_told_where_it_is_compared(capsys, bench):
+    lines = good_lines()
+    lines[400] = lines[400].rsplit(",", 1)[0] + ","
+    (bench / "holed.csv").write_text("\n".join(lines))
+    for arguments in (["check", "arm.fmu", "--log", "holed.csv", "--max-nrmse", "5"],
+                      ["simulate", "arm.fmu", "--log", "holed.csv"]):  # fmt: skip
+        _, out, _ = call(capsys, *arguments, "--json", "new.json", "--force")
+        assert "missing" in out
+        kinds = [f["kind"] for f in json.loads((bench / "new.json").read_text())["recording_faults"]]
+        assert kinds.count("missing") == 1
+
+
 def test_quiet_says_nothing(capsys, bench):
     assert call(capsys, "export", "model.toml", "--out", "q.fmu", "--quiet") == (0, "", "")
     assert call(capsys, "check", "arm.fmu", "--log", "good.csv", "--max-nrmse", "1", "--quiet") == (0, "", "")

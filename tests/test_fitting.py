@@ -11,6 +11,7 @@ from twin import extend, fitting, ready, recording, two_stage
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.effects.end_stop import NOWHERE
+from twin.errors import BadInput
 from twin.model import Model
 from twin.recording import Recording
 from twin.two_stage import NAMES, TwoStage
@@ -33,6 +34,20 @@ def test_what_the_two_stage_method_does_not_look_for_is_not_held() -> None:
     steady = TwoStage("speeds", 5.0, 5.0, 4.0, 2.0, 0.4, np.eye(len(NAMES)), (), (), "made", True)
     still = Recording("made", 0.002 * np.arange(9), np.arange(9.0), np.arange(9.0), "%", "rad", 1e-4)
     assert fitting.held_of(two_stage.to_model(steady, [still])) == {}
+
+
+@pytest.mark.parametrize("horizon", [0.02, np.inf])
+def test_no_horizon_is_longer_than_what_was_recorded(horizon: float) -> None:
+    still = Recording("made", 0.002 * np.arange(9), np.arange(9.0), np.arange(9.0), "%", "rad", 1e-4)
+    with pytest.raises(BadInput, match=r"lasts 0.016 s"):
+        fitting.estimate([still], Structure.of(BASE), "joint", lambda sentence, share: None, horizon)
+
+
+def test_a_loop_that_is_not_known_is_told_before_the_fit(monkeypatch) -> None:
+    monkeypatch.setattr(fitting, "compile_kernel", None)
+    still = Recording("made", 0.002 * np.arange(9), np.arange(9.0), np.arange(9.0), "%", "rad", 1e-4)
+    with pytest.raises(BadInput, match="loop"):
+        fitting.estimate([still], Structure.of(BASE), "joint", lambda sentence, share: None, 0.01, True)
 
 
 @pytest.mark.parametrize(("unit", "known", "says"), [("rad", "inertia", "(0.06 N m)"), ("m", "mass", "(0.06 N)")])

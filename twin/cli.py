@@ -129,6 +129,16 @@ def _assumptions(rig: Rig) -> list[str]:
     return [f"Assumed, for want of a rig file: {a}" for a in rig.assumed]
 
 
+def _faults(recordings: Sequence[Recording]) -> list[dict[str, Any]]:
+    return [vars(f) for r in recordings for f in r.faults]
+
+
+def _fault_lines(recordings: Sequence[Recording]) -> list[str]:
+    """What was left out of each recording, by its name where there are several."""
+    several = len(recordings) > 1
+    return [f"{r.name}: {f.says}" if several else f.says for r in recordings for f in r.faults]
+
+
 def _load(args: argparse.Namespace, tell: Progress) -> tuple[list[Recording], Rig]:
     from twin.recording import load
 
@@ -206,7 +216,7 @@ def _identify(args: argparse.Namespace) -> int:
     said = [
         *_assumptions(rig),
         phrases.recordings_sentence(recordings),
-        *(f.says for r in recordings for f in r.faults),
+        *_fault_lines(recordings),
         f"{args.out}: {found.structure}, by the {args.method} method:",
         *_parameter_lines(found),
     ]
@@ -217,7 +227,7 @@ def _identify(args: argparse.Namespace) -> int:
         "horizon": args.horizon,
         "effects": list(found.structure.ids),
         "parameters": _parameters(found),
-        "recording_faults": [vars(f) for r in recordings for f in r.faults],
+        "recording_faults": _faults(recordings),
         "assumed": list(rig.assumed),
     }
     _answer(args, said, answer)
@@ -344,8 +354,11 @@ def _simulate(args: argparse.Namespace) -> int:
         from twin.files import put
 
         put(args.out, _simulation_csv(recordings, ran, args.closed))
-    answer = {"format": "twin-simulate/1", "fmu": str(args.fmu), "file": args.out and str(args.out), "fit": fits}
-    _answer(args, [*_assumptions(rig), *_fit_lines(fits)], answer)
+    answer = {
+        "format": "twin-simulate/1", "fmu": str(args.fmu), "file": args.out and str(args.out), "fit": fits,
+        "recording_faults": _faults(recordings),
+    }  # fmt: skip
+    _answer(args, [*_assumptions(rig), *_fault_lines(recordings), *_fit_lines(fits)], answer)
     return 0
 
 
@@ -378,8 +391,11 @@ def _check(args: argparse.Namespace) -> int:
         if not bad
         else f"The twin does not fit: {len(bad)} of {len(fits)} above {args.max_nrmse:g} %."
     )
-    answer = {"format": "twin-check/1", "holds": not bad, "max_nrmse_percent": args.max_nrmse, "fit": fits}
-    _answer(args, [*_assumptions(rig), *_fit_lines(bad or fits), verdict], answer)
+    answer = {
+        "format": "twin-check/1", "holds": not bad, "max_nrmse_percent": args.max_nrmse, "fit": fits,
+        "recording_faults": _faults(recordings),
+    }  # fmt: skip
+    _answer(args, [*_assumptions(rig), *_fault_lines(recordings), *_fit_lines(bad or fits), verdict], answer)
     return 1 if bad else 0
 
 

@@ -10,9 +10,10 @@ import numpy as np
 
 from twin import identify, kernel, ready, two_stage
 from twin.axis import Structure
-from twin.effects.catalogue import EFFECTS
+from twin.effects.catalogue import EFFECTS, UNKNOWN
 from twin.effects.end_stop import NOWHERE
 from twin.errors import BadInput
+from twin.loop import own_loop
 from twin.model import Model
 from twin.recording import Recording, Rig, to_fit
 
@@ -24,7 +25,7 @@ def _known_effect(name: str, where: str) -> str:
     if name in EFFECTS:
         return name
     close = get_close_matches(name.replace("-", "_").lower(), EFFECTS, 1, 0.5)
-    meant = f"did you mean {close[0]}?" if close else f"known are {', '.join(EFFECTS)}"
+    meant = f"did you mean {close[0]}?" if close else f"known are {', '.join(i for i in EFFECTS if i not in UNKNOWN)}"
     raise BadInput(f"{where}: there is no effect {name!r}; {meant}")
 
 
@@ -85,8 +86,13 @@ def estimate(
         raise BadInput(f"--horizon goes with --method joint, not {method}: leave one of them out")
     if horizon is not None and not horizon > 0.0:
         raise BadInput(f"the horizon is {horizon:g} s: give a time above 0")
+    longest = max(float(r.time[-1]) for r in recordings)
+    if horizon is not None and horizon > longest:
+        raise BadInput(f"the horizon is {horizon:g} s, the longest recording lasts {longest:g} s: give a shorter one")
     if closed and horizon is None:
         raise BadInput("--closed says how to predict over a horizon: add --horizon SECONDS")
+    for recording in recordings if closed else ():
+        own_loop(recording)  # or the user is told after the fit
     if method == "joint":
         compile_kernel(tell)
         found = identify.identify(recordings, structure, progress=lambda s, x: tell(s, 0.05 + 0.85 * x))

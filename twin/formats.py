@@ -7,6 +7,7 @@ which nobody needs may hold anything.
 import csv
 import json
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -189,6 +190,15 @@ def _text_columns(rows: TextRows, names: Sequence[str]) -> list[FloatArray]:
     return _text_columns_slowly(rows, names, use)
 
 
+def _advice(cell: str, row: int) -> str:
+    """What to do about a cell that is no number."""
+    if re.fullmatch(r"\d{4}-\d\d-\d\d.*|\d+:\d\d.*", cell):
+        return "give times in seconds, or leave the column out and say [time] sample_time in the rig file"
+    if re.fullmatch(r"[-+]?\d*,\d+", cell):
+        return "write it with a decimal point, or separate cells by semicolons"
+    return "correct or empty it" + ("; if the line holds units, delete it" if row == 0 else "")
+
+
 def _text_columns_slowly(rows: TextRows, names: Sequence[str], use: Sequence[int]) -> list[FloatArray]:
     """Line by line: empty cells become NaN, and what cannot be read is named with its line and column."""
     width = len(rows.header)
@@ -206,9 +216,9 @@ def _text_columns_slowly(rows: TextRows, names: Sequence[str], use: Sequence[int
             try:
                 table[i, k] = float(cells[column]) if cells[column] else math.nan
             except ValueError:
-                where = f"line {rows.numbers[k]}, column '{names[i]}'"
+                where, cell = f"line {rows.numbers[k]}, column '{names[i]}'", cells[column]
                 raise BadInput(
-                    f"{rows.name}: {where}: {cells[column][:40]!r} is no number; correct or empty it"
+                    f"{rows.name}: {where}: {cell[:40]!r} is no number; {_advice(cell, k)}"
                 ) from None
     return [np.where(np.isfinite(column), column, np.nan) for column in table]
 
