@@ -55,10 +55,10 @@ def test_where_the_inertia_is_known_torques_are_told(unit: str, known: str, says
     count = np.arange(9.0)
     still = Recording("made", 0.002 * count, count, count, "%", unit, 1e-4, known={known: 0.02})
     other = replace(still, known={"payload_mass": 0.02})
-    assert recording.inertia_of(still) == {"inertia": 0.02} and recording.inertia_of(other) == {}
+    assert recording.told_of(still) == {"inertia": 0.02} and recording.told_of(other) == {}
     structure = Structure.of([*BASE, "coulomb_friction"])
     values = ready.completed(structure, {"coulomb_friction": 3.0, "viscous_friction": 2.0})
-    made = Model(structure, values, axis_unit=unit, known=recording.inertia_of(still))
+    made = Model(structure, values, axis_unit=unit, known=recording.told_of(still))
     assert f"({made.torque('coulomb_friction')})" == says
     assert made.torque("viscous_friction") == "" and replace(made, known={}).torque("coulomb_friction") == ""
     assert says in extend.says("coulomb_friction", made)

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin import extend, hold_out, identify, likelihood, ready
+from twin import extend, hold_out, identify, likelihood, package, ready
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
 from twin.model import Model
-from twin.recording import Recording
+from twin.recording import Recording, load
 
 STRUCTURE = Structure.of(("inertia", "viscous_friction", "dead_band"))
 VALUES = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
 COUNT = 2.0 * np.pi / 16384
 
 
-def recorded(supply: float = 0.0) -> Recording:
+def made(supply: float = 0.0) -> Recording:
     """Half a minute, with a logged supply that goes up and down by this share."""
     time = 0.002 * np.arange(15000)
     duty = steps(np.random.default_rng(3), len(time), 300, 40.0)
@@ -38,12 +39,12 @@ def fitted(recording: Recording) -> tuple[list[likelihood.Case], likelihood.Poin
 
 @pytest.mark.parametrize("supply", [0.0, 0.1])
 def test_a_supply_that_is_logged_acts_once_in_what_is_held_out(supply: float) -> None:
-    assert hold_out.unseen(*fitted(recorded(supply))) == []
+    assert hold_out.unseen(*fitted(made(supply))) == []
 
 
 def test_a_supply_that_nobody_told_of_is_seen_there() -> None:
     """The same truth, so that the test above can fail: what is held out goes by another supply than what was fitted."""
-    recording = recorded(0.1)
+    recording = made(0.1)
     cases, point, held_out = fitted(recording)
     volts = np.where(recording.time > held_out[0].begin, 0.5, 1.0) * recording.optional["supply"]
     (part,) = [replace(p, recording=replace(recording, optional={"supply": volts})) for p in held_out]
@@ -51,14 +52,14 @@ def test_a_supply_that_nobody_told_of_is_seen_there() -> None:
 
 
 def test_where_every_recording_is_held_out_there_is_nothing_to_fit() -> None:
-    recording = replace(recorded(), role="holdout")
+    recording = replace(made(), role="holdout")
     for fit in (hold_out.split, lambda r: identify.identify(r, STRUCTURE), lambda r: extend.diagnose(r, STRUCTURE)):
         with pytest.raises(BadInput, match="at least one to fit"):
             fit([recording])
 
 
 def test_a_held_out_part_in_which_nothing_was_read_is_run_all_the_same() -> None:
-    recording = recorded()
+    recording = made()
     blind = replace(recording, output=np.where(recording.time > 20.0, np.nan, recording.output))
     cases, point, held_out = fitted(blind)
     model: Model = identify.to_model(cases, point, [recording], {})
@@ -69,7 +70,43 @@ def test_a_held_out_part_in_which_nothing_was_read_is_run_all_the_same() -> None
 @pytest.mark.parametrize("speed", [False, True])
 def test_an_unknown_loop_is_refused_before_the_search_begins(monkeypatch, speed: bool) -> None:
     monkeypatch.setattr(extend.search, "find", None)
-    recording = recorded()
+    recording = made()
     recording = replace(recording, output_unit="rad/s") if speed else recording
     with pytest.raises(BadInput, match="loop"):
         extend.diagnose([recording], Structure.of(BASE), closed=True)
+
+
+def on_battery(volts: float, folder: Path, seed: int) -> Path:
+    """A recording of the same axis on a battery that has run down to so much."""
+    time = 0.002 * np.arange(6000)
+    duty = steps(np.random.default_rng(seed), len(time), 300, 40.0)
+    supply = volts * (1.0 - 0.02 * time / time[-1])
+    y, _ = run(STRUCTURE, VALUES, time, duty * supply / 12.0)
+    rows = zip(time.tolist(), duty.tolist(), supply.tolist(), y.tolist(), strict=True)
+    path = folder / f"at_{volts:g}.csv"
+    path.write_text("t,duty,volts,q\n" + "".join(f"{t:.4f},{u:g},{v:.6f},{x:.8f}\n" for t, u, v, x in rows))
+    return path
+
+
+def test_a_battery_that_runs_down_is_no_other_axis(tmp_path: Path) -> None:
+    """Neither of two recordings nor of a model and what is recorded next week."""
+    (tmp_path / "rig.toml").write_text(
+        '[time]\ncolumn = "t"\n[input]\ncolumn = "duty"\nunit = "%"\n[output]\ncolumn = "q"\nunit = "rad"\n'
+        '[optional.supply]\ncolumn = "volts"\nunit = "V"\n[known]\nsupply_nominal = 12.0\n'
+    )
+    full, low = (on_battery(v, tmp_path, i) for i, v in enumerate((12.6, 10.8)))
+    both, _ = load([full, low])
+    cases = ready.prepare(both, STRUCTURE)
+    point = likelihood.fit(cases, STRUCTURE, VALUES, tuple(VALUES))
+    assert point.values["input_gain"] == pytest.approx(VALUES["input_gain"], rel=1e-3)
+    model = identify.to_model(cases, point, both, {})
+    fmu = package.export(model, tmp_path / "axis.fmu")
+    # The rig file of next week says nothing of the supply that the model goes by.
+    rig_file = tmp_path / "rig.toml"
+    rig_file.write_text(rig_file.read_text().split("[known]")[0])
+    for path in (full, low):
+        (later,), _ = load([path])
+        assert package.replay(fmu, later).nrmse_percent(later) < 0.1
+    # Nobody said what is nominal: what is usual among all of them.
+    unsaid, _ = load([full, low])
+    assert [r.known["supply_nominal"] for r in unsaid] == 2 * [pytest.approx(0.99 * 11.7, rel=1e-3)]

@@ -319,12 +319,11 @@ def _replays(args: argparse.Namespace) -> tuple[list[Recording], Rig, list[Any]]
     with _progress(args) as tell:
         recordings, rig = _load(args, tell)
         from twin import package
-        from twin.recording import driven
 
         ran = []
         for i, r in enumerate(recordings):
             tell(f"simulating {r.name}", i / len(recordings))
-            ran.append(package.replay(args.fmu, driven(r), closed=args.closed))
+            ran.append(package.replay(args.fmu, r, closed=args.closed))
     return recordings, rig, ran
 
 
@@ -405,12 +404,13 @@ def _diagnose(args: argparse.Namespace) -> int:
     with _progress(args) as tell:
         recordings, rig = _load(args, tell)
         from twin import extend, files, finding, fitting, model, phrases
-        from twin.recording import check_units
+        from twin.recording import as_told, check_units
 
         given = None if args.model is None else model.read(args.model)
         if given is not None:
             for r in recordings:
                 check_units(r, str(args.model), given.input_unit, given.axis_unit)
+            recordings = [as_told(r, given.known) for r in recordings]
         structure = fitting.first_structure(rig, args.more, args.fewer, None if given is None else given.structure)
         fitting.compile_kernel(tell)
         d = extend.diagnose(

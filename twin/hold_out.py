@@ -22,7 +22,7 @@ from twin.likelihood import Case, Point
 from twin.locate import Missing
 from twin.loop import own_loop
 from twin.model import Model
-from twin.recording import Recording, driven, to_fit
+from twin.recording import Recording, to_fit
 
 #: Where in a lone recording the held-out part begins and ends, as shares of it.
 END, MIDDLE = (0.7, 1.0), (0.35, 0.65)
@@ -108,8 +108,7 @@ def traces(before: Model, after: Model, parts: Sequence[tuple[str, Part]], close
             if role == "train":
                 runs = [rerun(m, recording, closed) for m in (before, after)]
             else:
-                mine = Part(driven(recording), part.begin, part.end)
-                runs = [_free_run(fmu, mine, lead, closed) for fmu in fmus]
+                runs = [_free_run(fmu, part, lead, closed) for fmu in fmus]
             out.append(Trace(recording.name, role, recording.time[inside], recording.output[inside], *runs))
     return out
 

@@ -20,7 +20,7 @@ from twin.axis import Structure
 from twin.errors import BadInput
 from twin.likelihood import Case, Point
 from twin.model import Model
-from twin.recording import Recording, inertia_of, known_quantities, to_fit
+from twin.recording import Recording, known_quantities, to_fit, told_of
 
 #: Bounded and kinked parameters, whose likelihood is no parabola.
 PROFILED = ("dead_band_forward", "dead_band_reverse", "backlash_gap")
@@ -97,7 +97,7 @@ def to_model(cases: Sequence[Case], point: Point, recordings: Sequence[Recording
         reads_speed=first.is_speed,
         reading_std=math.sqrt(variance),
         torque_density=point.density * variance,
-        known={**known, **inertia_of(first)},
+        known={**known, **told_of(first)},
         provenance={
             "method": "joint",
             "recordings": ", ".join(r.name for r in recordings),

@@ -26,7 +26,7 @@ from twin.errors import BadInput
 from twin.files import check_free, put
 from twin.loop import own_loop
 from twin.model import INPUT_NAMES, Model, dumps, loads
-from twin.recording import Recording, check_units
+from twin.recording import Recording, as_told, check_units, driven
 from twin.running import running
 from twin.variables import OUTPUTS, ROUND, delay_capacity, parameters_text, variables
 from twin.writers import c, python
@@ -227,9 +227,12 @@ def replay(
     `closed` closes the rig's own loop around the FMU instead: the input is what that commands, from the recorded
     reference and what the FMU's sensor reads, in steps as short as the loop's. `start` is position and velocity at the
     first stamp, from the recording's first readings where not given. Known quantities of the recording are set.
+    A duty drives in proportion to the supply where that is logged, by the nominal one that the FMU's model knows.
     Raises BadInput where the FMU refuses or its results are NaN.
     """
     opened = open_fmu(fmu)
+    ours = "supply" in recording.optional and _MODEL in opened.members
+    recording = driven(as_told(recording, read_model(fmu).known if ours else {}))
     shown = opened.description.findall("ModelVariables/*")
     names = {node.get("name") for node in shown}
     inputs = [node.get("name", "") for node in shown if node.get("causality") == "input"]
@@ -256,8 +259,8 @@ def replay(
     if not np.isfinite(seen).all():
         at = time[int(np.argmin(np.isfinite(seen).all(axis=1)))]
         raise BadInput(f"{fmu}: the simulation is no longer a number at {at:g} s: check the parameters")
-    driven = np.array(command)
+    commanded = np.array(command)
     if loop is not None:
-        driven[-1] = loop.command(len(time) - 1, seen[-1, _READS], seen[-1, _MOVES])
-        seen, driven = seen[loop.stamps], driven[loop.stamps]
-    return Replay(recording.time, driven, *(np.ascontiguousarray(column) for column in seen.T))
+        commanded[-1] = loop.command(len(time) - 1, seen[-1, _READS], seen[-1, _MOVES])
+        seen, commanded = seen[loop.stamps], commanded[loop.stamps]
+    return Replay(recording.time, commanded, *(np.ascontiguousarray(column) for column in seen.T))

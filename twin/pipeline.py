@@ -17,7 +17,7 @@ from twin.cosim import Tracking
 from twin.errors import BadInput
 from twin.files import check_place, json_text, put
 from twin.model import Model
-from twin.recording import Recording, Rig, driven
+from twin.recording import Recording, Rig
 from twin.report import Check, Story, html
 
 Progress = Callable[[str, float], None]
@@ -33,7 +33,7 @@ def check(fmu: Path, name: str, log: Recording) -> Check:
     """Validate an FMU with FMPy and replay a recording through it."""
     began = time.perf_counter()
     problems = tuple(str(p) for p in validate_fmu(str(fmu)))
-    ran = package.replay(fmu, driven(log))
+    ran = package.replay(fmu, log)
     return Check(name, log.name, ran.rmse(log), ran.nrmse_percent(log), time.perf_counter() - began, problems)
 
 

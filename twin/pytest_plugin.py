@@ -59,7 +59,7 @@ class Checks:
     ) -> list[tuple[recordings.Recording, Replay]]:
         """The recorded input of every recording in the log through the FMU. Raises BadInput."""
         loaded, _ = recordings.load([Path(log)], Path(rig) if rig else None)
-        return [(r, replay(Path(fmu), recordings.driven(r))) for r in loaded]
+        return [(r, replay(Path(fmu), r)) for r in loaded]
 
     def assert_nrmse(
         self, fmu: str | Path, log: str | Path, max_percent: float, rig: str | Path | None = None

@@ -35,7 +35,8 @@ _LEAST_SAMPLES = 50
 #: A sample time, s, a duty, %, and a pause, s, beyond which a unit is wrong or a cell is bad.
 _SLOWEST, _FULL, _PAUSE = 0.5, 1e4, 1e5
 #: Known quantities that mean something to twin; others may be there for the gains of a loop.
-MEANT = ("inertia", "mass", "payload_mass", "arm_length", "arm_mass", "payload_inertia", "payload_moment")
+_NOMINAL = "supply_nominal"
+MEANT = ("inertia", "mass", _NOMINAL, "payload_mass", "arm_length", "arm_mass", "payload_inertia", "payload_moment")
 _INPUT_WORDS = {"%": "duty", "V": "voltage", "A": "current", "N*m": "torque", "N": "force"}
 _COUNTERS = tuple(float(2**bits) for bits in (8, 10, 12, 14, 16, 24, 32))
 
@@ -151,10 +152,12 @@ def known_quantities(recording: Recording) -> dict[str, float]:
     }
 
 
-def inertia_of(recording: Recording) -> dict[str, float]:
-    """The axis' inertia (kg m^2), of a linear axis its mass (kg), where the user knows it."""
-    known = recording.known.get("mass" if recording.output_unit.startswith("m") else "inertia")
-    return {} if known is None else {"inertia": known}
+def told_of(recording: Recording) -> dict[str, float]:
+    """What a model keeps of what is known: the axis' inertia (kg m^2), of a linear axis its mass (kg), and the supply
+    (V) at which a duty drives as the input gain says.
+    """
+    names = {"inertia": "mass" if recording.output_unit.startswith("m") else "inertia", _NOMINAL: _NOMINAL}
+    return {ours: recording.known[theirs] for ours, theirs in names.items() if theirs in recording.known}
 
 
 def command_of(recording: Recording) -> FloatArray:
@@ -162,8 +165,23 @@ def command_of(recording: Recording) -> FloatArray:
     supply = recording.optional.get("supply")
     if supply is None or recording.input_unit != "%":
         return recording.input
-    nominal = float(np.nanmedian(supply))
+    nominal = recording.known.get(_NOMINAL, float(np.nanmedian(supply)))
     return recording.input * np.where(np.isfinite(supply), supply, nominal) / nominal
+
+
+def as_told(recording: Recording, known: Mapping[str, float]) -> Recording:
+    """The recording as a model sees it that knows these: with its own nominal supply, where it has one."""
+    return replace(recording, known={**recording.known, **{n: v for n, v in known.items() if n == _NOMINAL}})
+
+
+def _share_supply(recordings: list[Recording]) -> list[Recording]:
+    """One axis, one supply at which a duty drives as the input gain says: were it each recording's own, a battery that
+    runs down would be another gain in each.
+    """
+    logged = [float(np.nanmedian(r.optional["supply"])) for r in recordings if "supply" in r.optional]
+    if not logged:
+        return recordings
+    return [replace(r, known={_NOMINAL: float(np.median(logged)), **r.known}) for r in recordings]
 
 
 def driven(recording: Recording) -> Recording:
@@ -219,7 +237,7 @@ def load(paths: Sequence[Path], rig: Path | None = None) -> tuple[list[Recording
         recordings.append(_recording(table, chosen, entry))
     assert chosen is not None
     _check_moves(recordings)
-    return _share_resolution(recordings, chosen.output.resolution), chosen
+    return _share_supply(_share_resolution(recordings, chosen.output.resolution)), chosen
 
 
 def _choose_rig(beside: Sequence[Path], rig: Path | None) -> Rig | None:

@@ -24,7 +24,7 @@ from scipy.optimize import minimize_scalar
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.model import Model
-from twin.recording import Recording, command_of, inertia_of, known_quantities
+from twin.recording import Recording, command_of, known_quantities, told_of
 
 FloatArray = NDArray[np.float64]
 
@@ -543,7 +543,7 @@ def to_model(result: TwoStage, recordings: Sequence[Recording]) -> Model:
     rows = [NAMES.index(n) for n in ("c", "b", "dead_band_forward", "dead_band_reverse")]
     first = recordings[0]
     known = {k: v for k, v in known_quantities(first).items() if v}
-    known |= inertia_of(first)
+    known |= told_of(first)
     return Model(
         structure=structure,
         values=values,
