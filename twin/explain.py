@@ -48,7 +48,8 @@ WHITE = 2.0
 #: this memory, s; of what it does to the likelihood a slow torque keeps this share when the memory is halved.
 FASTER, BRIEFEST, KEPT = (2.0, 4.0), 0.02, 1.0 / 16.0
 #: Torques that change no faster than the axis moves; the memory of a filter that looks for them once no other finds
-#: anything, s; and the units that one has to earn there: bounces that such a filter does not forget have earned 34.
+#: anything, s; and the units that what shows to no usual memory has to earn: bounces that a longer one does not forget
+#: have earned 34, and what a rig departs from every law by has earned a name 57 with one of a few hundredths of a s.
 SLOW = ("constant_offset", "gravity", "spring", "quadratic_drag", "thermal_fade", "supply_sag")
 LONG, PLAIN = 0.4, 5.0 * compare.LEAST
 #: Units that make a filter sure of what the next one, which forgets faster, can know too little of.

@@ -28,8 +28,6 @@ UNSURE = 3.0 * compare.TEMPER
 CERTAIN = 3.0
 #: So often at most are meetings that a model foresees looked for, since another judgement moves the model.
 FORESEEN = 2
-#: What only a closer look shows is to be likelier than all that could stand in its place.
-LIKELIER = 0.5
 #: A rival that had earned all but this share of what the winner did is tried in its place.
 NARROW = 0.1
 
@@ -405,10 +403,10 @@ def _added(
     rounds: list[Round] = []
     while len(rounds) < most and (open_ := [c for c in candidates if c not in best.structure]):
         seen = explain.contest(cases, best, open_)
-        if not any(compare.earned(best, h.point) > explain.HOPE * compare.LEAST for h in seen):
+        if not any(compare.earned(best, h.point) > explain.HOPE * explain.PLAIN for h in seen):
             break
         this = explain.compete(cases, best, seen[: explain.NEAR], open_, held)
-        if not this.won:
+        if not this.won or compare.earned(this.before, this.rivals[0].point) < explain.PLAIN:
             break
         rounds.append(this)
         cases, best = _sharp(cases, _plainer(cases, this, held))
@@ -441,7 +439,8 @@ def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) 
     Where a motor rattles the errors of a tenth of a second hang together, and a unit of deviance is worth a fiftieth of
     what it is to such a filter: it sees a faint effect beside those that were found. But it forgets slow torques, and
     how friction gives at rest weighs for it as much as what moves the axis: so it takes nothing back and decides
-    nothing about what had been found. What is faint, and might as well be something else, is no discovery.
+    nothing about what had been found. And since it sees how the axis departs from every law, what it shows alone has
+    to earn as much more as what only a longer memory shows.
     """
     cases, known = _sharp(found.cases, found.last)
     if known.density < valleys.ALIKE * found.last.density and all(c.unforeseen is None for c in cases):
@@ -460,8 +459,7 @@ def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) 
     lesser = _fits(cases, best, held, _smaller(best.structure, first.structure))
     best = _unmet(cases, best)
     swaps += _carried(cases, best, found.swaps, held, more=new)
-    seen = Search(first, best, (*found.rounds, *rounds), tuple(cases), (*lesser, first), tuple(swaps))
-    return found if any(shares(seen, e)[0] < LIKELIER for e in new) else seen
+    return Search(first, best, (*found.rounds, *rounds), tuple(cases), (*lesser, first), tuple(swaps))
 
 
 def renewed(found: Search, last: Point, fewer: Sequence[str] = ()) -> Search:
