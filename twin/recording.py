@@ -187,7 +187,7 @@ def _share_supply(recordings: list[Recording]) -> list[Recording]:
 def driven(recording: Recording) -> Recording:
     """The recording as an FMU of its axis is driven: the command as it acts, and what the laws know of the payload."""
     return replace(
-        recording, input=command_of(recording), known={**recording.known, **known_quantities(recording)}
+        recording, input=command_of(recording), known={**known_quantities(recording), **recording.known}
     )
 
 
