@@ -401,6 +401,19 @@ def test_update_writes_the_parameters_and_nothing_else(made, tmp_path):
         assert apart(drive(instance, u), by_kernel(model, u, 0.0, 0.0)) < 1e-10
 
 
+def test_update_refuses_a_damaged_archive_and_leaves_it(made, tmp_path):
+    """One byte of a member that no update writes anew is another."""
+    fmu = tmp_path / "flipped.fmu"
+    with zipfile.ZipFile(made["rigid"]) as archive:
+        info = max((i for i in archive.infolist() if i.filename.endswith(".py")), key=lambda i: i.compress_size)
+    content = bytearray(made["rigid"].read_bytes())
+    content[info.header_offset + len(info.filename) + 30 + info.compress_size // 2] ^= 0xFF
+    fmu.write_bytes(content)
+    with pytest.raises(BadInput, match="damaged"):
+        package.update(fmu, package.read_model(fmu))
+    assert fmu.read_bytes() == bytes(content)
+
+
 def test_update_refuses_another_structure_and_says_how_it_differs(made, tmp_path):
     fmu = Path(shutil.copy(made["simple"], tmp_path / "axis.fmu"))
     other = model_of(SIMPLE.without("gravity").with_("spring"))

@@ -95,9 +95,9 @@ class Structure:
     def without(self, *ids: str) -> Structure:
         return Structure.of(i for i in self.ids if i not in ids)
 
-    def brought_by(self, effect: str) -> tuple[str, ...]:
-        """What the effect brought with it and no other effect needs."""
-        needed = {i for e in self.effects if e.id != effect for i in e.includes}
+    def brought_by(self, effect: str, first: Structure) -> tuple[str, ...]:
+        """What the effect brought with it and neither another effect needs nor the first model had."""
+        needed = {i for e in self.effects if e.id != effect for i in e.includes} | set(first.ids)
         return tuple(i for i in EFFECTS[effect].includes if i not in BASE and i not in needed)
 
     @property

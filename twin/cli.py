@@ -167,9 +167,9 @@ def _parameter_lines(model: Model) -> list[str]:
     lines = []
     for p in model.structure.parameters:
         value = measure(model.values[p.name], model.std(p.name), model.unit(p.name))
-        torque = f" = {model.torque(p.name)}" if model.torque(p.name) else ""
+        torque = model.torque(p.name)
         note = f"  ({model.notes[p.name]})" if p.name in model.notes else ""
-        lines.append(f"  {p.name:<{width}}  {value}{torque}{note}")
+        lines.append(f"  {p.name:<{width}}  {value}{torque and f' = {torque}'}{note}")
     return lines
 
 
@@ -704,6 +704,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         # A full disk, a name that is too long: no fault of ours, and told in one line.
         where = f"{error.filename}: " if error.filename else ""
         print(f"twin: {where}{error.strerror or error}: give another place or make room", file=sys.stderr)
+        if debug:
+            traceback.print_exc()
         return 2
     except Exception as error:
         print(f"twin: internal error, {type(error).__name__}: {' '.join(str(error).split())}; "

@@ -74,8 +74,8 @@ def says(effect: str, model: Model) -> str:
             value, std = model.values[p.name], model.std(p.name)
             unit = model.unit(p.name)
             spread = f" ± {std:.2g}" if math.isfinite(std) else ""
-            torque = f" ({model.torque(p.name)})" if model.torque(p.name) else ""
-            number = f"{value:.3g}{spread}{'' if unit == '1' else ' ' + unit}{torque}"
+            torque = model.torque(p.name)
+            number = f"{value:.3g}{spread}{'' if unit == '1' else ' ' + unit}{torque and f' ({torque})'}"
             shown[p.name] = "none met" if value == NOWHERE.get(p.name) else number
     return EFFECTS[effect].sentence.format(**shown)
 
@@ -164,8 +164,9 @@ def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover, 
         left.append(after)
     speed = found.cases[0].drive.speed
     # Several recordings of speed begin at angles that nobody knows.
-    strange = [k for k in TERMS if len(found.cases) > 1 and "position" in EFFECTS[f"unknown_{k}"].depends_on]
-    shown = [t for one in left for t in unknown.which_terms(one) if not (speed and t.kind in strange)]
+    several = speed and len(found.cases) > 1
+    strange = [k for k in TERMS if several and "position" in EFFECTS[f"unknown_{k}"].depends_on]
+    shown = [t for one in left for t in unknown.which_terms(one) if t.kind not in strange]
     always = [Term(k) for k in ALWAYS if not (k == "position" and speed)]
     terms = dict.fromkeys((*shown, *always))
     with ThreadPoolExecutor(2) as pool:
@@ -324,10 +325,10 @@ def _telling(found: Search) -> tuple[Case, unknown.Leftover]:
     return max(judged, key=lambda j: (j[1].size if unknown.is_left(j[1]) else 0.0, float(j[0].drive.time[-1])))
 
 
-def _lacking(found: Search) -> list[str]:
-    """The recordings in which the last model lacks something that goes with something."""
-    last = found.last
-    left = [(c, unknown.leftover(c, last.structure, last.values)) for c in found.cases]
+def _lacking(found: Search, telling: Case) -> list[str]:
+    """The recordings beside the telling one in which the last model lacks something that goes with something."""
+    last, others = found.last, [c for c in found.cases if c is not telling]
+    left = [(c, unknown.leftover(c, last.structure, last.values)) for c in others]
     return [c.recording.name for c, one in left if unknown.is_left(one)]
 
 
@@ -398,7 +399,7 @@ def diagnose(
         verdict = "partly_explained" if set(found.last.structure.named) - {*first.named, *UNKNOWN} else "unexplained"
     else:
         found, verdict = _kept(found, nameless, unknown.verdict(named, *left))
-    others = _lacking(found) if verdict == "explained" else ()
+    others = _lacking(found, case) if verdict == "explained" else ()
     if others:
         verdict = "partly_explained"
         said.append(f"What is left of the missing torque in {', '.join(others)} goes with something still.")

@@ -154,7 +154,7 @@ def update(fmu: Path, model: Model, out: Path | None = None) -> Path:
         new.comment = old.comment
         for info in old.infolist():
             content = fresh.get(info.filename)
-            kept = opened.read(info.filename) if info.filename in opened.members else b""
+            kept = b"" if info.is_dir() else opened.read(info.filename, info.file_size)
             new.writestr(info, kept if content is None else content)
     put(out or fmu, target.getvalue())
     return out or fmu

@@ -34,8 +34,8 @@ FloatArray = npt.NDArray[np.float64]
 _LEAST_SAMPLES = 50
 #: A sample time, s, a duty, %, and a pause, s, beyond which a unit is wrong or a cell is bad.
 _SLOWEST, _FULL, _PAUSE = 0.5, 1e4, 1e5
-#: Known quantities that mean something to twin; others may be there for the gains of a loop.
 _NOMINAL = "supply_nominal"
+#: Known quantities that mean something to twin; others may be there for the gains of a loop.
 MEANT = ("inertia", "mass", _NOMINAL, "payload_mass", "arm_length", "arm_mass", "payload_inertia", "payload_moment")
 _INPUT_WORDS = {"%": "duty", "V": "voltage", "A": "current", "N*m": "torque", "N": "force"}
 _COUNTERS = tuple(float(2**bits) for bits in (8, 10, 12, 14, 16, 24, 32))
@@ -171,7 +171,9 @@ def command_of(recording: Recording) -> FloatArray:
 
 def as_told(recording: Recording, known: Mapping[str, float]) -> Recording:
     """The recording as a model sees it that knows these: with its own nominal supply, where it has one."""
-    return replace(recording, known={**recording.known, **{n: v for n, v in known.items() if n == _NOMINAL}})
+    if _NOMINAL not in known:
+        return recording
+    return replace(recording, known={**recording.known, _NOMINAL: known[_NOMINAL]})
 
 
 def _share_supply(recordings: list[Recording]) -> list[Recording]:
@@ -319,19 +321,19 @@ def _check_sense(
     table: Table, rig: Rig, clock: Clock, time: FloatArray, drive: FloatArray, rows: npt.NDArray[np.intp]
 ) -> None:
     """Raises BadInput for numbers that no axis makes, which a wrong unit or a bad cell does."""
-    step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
+    steps = np.diff(time)
+    step = float(np.median(steps)) if steps.size else 0.0
     if step > _SLOWEST:
         said = f"column '{clock.column}'" if clock.column is not None else "sample_time"
         raise BadInput(
             f"{table.name}: {said} makes {step:g} s from sample to sample, too slow to see an axis move; "
             f'if it is in ms, say unit = "ms" in [time] of {"a rig.toml" if rig.assumed else rig.name}'
         )
-    pause = np.diff(time)
-    if time.size > 1 and pause.max() > _PAUSE:
-        row = int(np.argmax(pause)) + 1
+    if steps.max(initial=0.0) > _PAUSE:
+        row = int(rows[int(np.argmax(steps)) + 1])
         raise BadInput(
-            f"{table.name}: {table.where(int(rows[row]))}, column '{clock.column}': {pause.max():.6g} s after the "
-            "sample before; correct that stamp, or split the recording"
+            f"{table.name}: {table.where(row)}, column '{clock.column}': {steps.max():.6g} s after the sample before; "
+            "correct that stamp, or split the recording"
         )
     beyond = np.flatnonzero(np.abs(drive) > _FULL)
     if rig.input.unit == "%" and beyond.size:

@@ -69,8 +69,7 @@ def _drawn(cases: Sequence[Case], last: Point, ids: Sequence[str], variable: str
 def _needed(cases: Sequence[Case], first: Structure, curve: Point, names: Sequence[str]) -> Point:
     """The model with a curve, less the names that do nothing beside it; what the first model has stays."""
     for effect in names:
-        brought = [i for i in curve.structure.brought_by(effect) if i not in first]
-        structure = curve.structure.without(effect, *brought)
+        structure = curve.structure.without(effect, *curve.structure.brought_by(effect, first))
         values = ready.completed(structure, curve.values)
         free = tuple(n for n in curve.free if n in values)
         mine = ready.with_steps(cases, structure)

@@ -64,17 +64,12 @@ def behind(rival: Point, last: Point) -> float:
     return compare.ahead(last, rival) + UNSURE * (len(rival.structure.named) - len(last.structure.named))
 
 
-def _brought(structure: Structure, effect: str, keep: Structure) -> tuple[str, ...]:
-    """What goes with an effect that goes; what the first model has stays."""
-    return tuple(i for i in structure.brought_by(effect) if i not in keep)
-
-
 def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
     """The structure less one effect each, with and without what that effect brought along."""
     out = []
     for effect in structure.named:
         if effect not in keep:
-            brought = _brought(structure, effect, keep)
+            brought = structure.brought_by(effect, keep)
             out += [structure.without(effect)] if brought else []
             out += [structure.without(effect, *brought)]
     return out
@@ -268,7 +263,7 @@ def _swapped(
         margin = max(UNSURE, NARROW * contest.gain)
         for h, short in contest.rivals:
             if short < margin:
-                own, brought = h.point, _brought(last.structure, effect, first)
+                own, brought = h.point, last.structure.brought_by(effect, first)
                 starts = ({**own.values, **last.values}, {**last.values, **own.values})
                 # What the effect had brought along may be there without it.
                 others = dict.fromkeys(last.structure.without(effect, *i).with_(*h.added) for i in ((), brought))
