@@ -183,7 +183,11 @@ def test_gap_element_matches_two_bodies_thrown_back_and_forth(flight: float) -> 
         (lambda t: t.replace("whole = 0.0", "whole = 0.5"), "whole"),
         (lambda t: t.replace("whole = 0.0", "whole = 1e9"), "whole"),
         (lambda t: t.replace("[settings]", "[settings]\nspeed = 1.0"), "unknown"),
-        (lambda t: t.replace("[margins]", "[margin]"), ""),
+        (lambda t: t.replace("[margins]", "[margin]"), "did you mean 'margins'"),
+        (lambda t: t.replace("position_gain = ", "position_gain = -"), "position_gain is -.*give 0 or more"),
+        (lambda t: t.replace("bandwidth = ", "bandwidth = -"), "bandwidth is -.*above 0"),
+        (lambda t: t.replace("phase = ", "phases = "), r"\[margins\]: unknown key 'phases'; did you mean 'phase'"),
+        (lambda t: t[: t.index("[margins]")], ""),
     ],
 )
 def test_damaged_controller_files_are_refused_in_a_line(change, says: str) -> None:  # type: ignore[no-untyped-def]

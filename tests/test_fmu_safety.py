@@ -7,6 +7,7 @@ import stat
 import struct
 import tempfile
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -304,3 +305,29 @@ def test_fuzz_values_of_the_model_file(line, value):
         loads("\n".join(lines))
     except BadInput as error:
         assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("[noise]", "[noize]", "unknown key 'noize'; did you mean 'noise'?"),
+        ("resolution = ", "resolutions = ", "[axis]: unknown key 'resolutions'; did you mean 'resolution'?"),
+        ("resolution = ", "resolution = -", "[axis] resolution is -0.001: give 0 or more"),
+        ("reading_std = ", "reading_std = -", "[noise] reading_std is -0.002: give 0 or more"),
+        ("torque_density = ", "torque_density = -", "[noise] torque_density is -0.003: give 0 or more"),
+        ("reads_speed = false", "reads_speed = 0", "[axis] reads_speed is 0: use true or false"),
+        (
+            "\nvalue = ", '\n"va\\nlue" = 1.0\nvalue = ',
+            "[parameters.input_gain]: unknown key 'va\\nlue'; did you mean 'value'?",
+        ),
+        ("effects = ", "effect = [1]\neffects = ", "[structure]: unknown key 'effect'; did you mean 'effects'?"),
+        ("matrix = ", "matrices = 1\nmatrix = ", "[covariance]: unknown key 'matrices'; did you mean 'matrix'?"),
+    ],
+)  # fmt: skip
+def test_what_a_model_file_says_is_heeded_or_refused(old, new, says):
+    text = dumps(replace(MODEL, resolution=1e-3, reading_std=2e-3, torque_density=3e-3))
+    loads(text)
+    assert old in text
+    with pytest.raises(BadInput) as caught:
+        loads(text.replace(old, new, 1), "MODEL.toml")
+    assert str(caught.value) == f"MODEL.toml: {says}"

@@ -55,6 +55,7 @@ def diagnosed(*effects: str) -> Diagnosis:
 def test_the_true_one_is_named_and_its_mask_is_not(effect):
     found = diagnosed(effect)
     named = [f.id for f in found.findings]
+    assert found.telling == "masked"
     masks = {i for group in MASKS if effect in group for i in group} - {effect}
     assert not masks & set(named)
     if effect == "dead_band":

@@ -5,9 +5,9 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from example_diagnosis import RIG, example, model_of
+from example_diagnosis import RIG, example, model_of, recording_of
 
-from twin import control, cosim, figures, phrases, report, two_stage
+from twin import control, cosim, figures, finding, phrases, report, two_stage
 from twin.report import Check, Story
 
 SECTIONS = ["found", "where", "comparison", "residual", "rivals", "parameters", "recording", "next", "how"]
@@ -96,8 +96,19 @@ def test_text_from_files_is_escaped():
     evil = "<script>alert(1)</script>$x_{$.csv"
     renamed = tuple(replace(t, name=evil) for t in d.traces)
     recordings = tuple(replace(r, name=evil) for r in d.recordings)
-    hostile = report.html(story(diagnosis=replace(d, traces=renamed, recordings=recordings)))
+    hostile = report.html(story(diagnosis=replace(d, traces=renamed, recordings=recordings, telling=evil)))
     assert "script" not in Page(hostile).tags
+
+
+def test_page_and_json_say_which_recording_tells_and_which_is_faulty():
+    short, long = example(several=True).recordings[0], recording_of(model_of("gravity"), 6.0, "long.csv")
+    d = replace(example(several=True), recordings=(short, long), telling="a.csv")
+    page = Page(report.html(story(diagnosis=d))).text
+    assert "The missing torque along a.csv" in page
+    assert "long.csv: The output <jumps>" in page
+    answer = finding.to_json(d)
+    assert answer["mismatch"]["recording"] == "a.csv"
+    assert [f["recording"] for f in answer["recording_faults"]] == ["a.csv", "long.csv"]
 
 
 @pytest.mark.parametrize("verdict", ["explained", "nothing_missing", "partly_explained", "unexplained"])

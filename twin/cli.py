@@ -129,10 +129,6 @@ def _assumptions(rig: Rig) -> list[str]:
     return [f"Assumed, for want of a rig file: {a}" for a in rig.assumed]
 
 
-def _faults(recordings: Sequence[Recording]) -> list[dict[str, Any]]:
-    return [vars(f) for r in recordings for f in r.faults]
-
-
 def _fault_lines(recordings: Sequence[Recording]) -> list[str]:
     """What was left out of each recording, by its name where there are several."""
     several = len(recordings) > 1
@@ -209,6 +205,7 @@ def _identify(args: argparse.Namespace) -> int:
     with _progress(args) as tell:
         recordings, rig = _load(args, tell)
         from twin import files, fitting, model, phrases
+        from twin.recording import faults_of
 
         structure = fitting.first_structure(rig, args.more, args.fewer)
         found = fitting.estimate(recordings, structure, args.method, tell, args.horizon, args.closed)
@@ -227,7 +224,7 @@ def _identify(args: argparse.Namespace) -> int:
         "horizon": args.horizon,
         "effects": list(found.structure.ids),
         "parameters": _parameters(found),
-        "recording_faults": _faults(recordings),
+        "recording_faults": faults_of(recordings),
         "assumed": list(rig.assumed),
     }
     _answer(args, said, answer)
@@ -348,14 +345,15 @@ def _fit_lines(fits: Sequence[Mapping[str, Any]]) -> list[str]:
 def _simulate(args: argparse.Namespace) -> int:
     _check_outputs(args, args.out)
     recordings, rig, ran = _replays(args)
+    from twin.files import put
+    from twin.recording import faults_of
+
     fits = _fits(recordings, ran)
     if args.out is not None:
-        from twin.files import put
-
         put(args.out, _simulation_csv(recordings, ran, args.closed))
     answer = {
         "format": "twin-simulate/1", "fmu": str(args.fmu), "file": args.out and str(args.out), "fit": fits,
-        "recording_faults": _faults(recordings),
+        "recording_faults": faults_of(recordings),
     }  # fmt: skip
     _answer(args, [*_assumptions(rig), *_fault_lines(recordings), *_fit_lines(fits)], answer)
     return 0
@@ -383,6 +381,8 @@ def _check(args: argparse.Namespace) -> int:
         raise BadInput(f"--max-nrmse is {args.max_nrmse:g}: give a percentage above 0")
     _check_outputs(args)
     recordings, rig, ran = _replays(args)
+    from twin.recording import faults_of
+
     fits = _fits(recordings, ran)
     bad = [f for f in fits if not f["nrmse_percent"] <= args.max_nrmse]
     verdict = (
@@ -392,7 +392,7 @@ def _check(args: argparse.Namespace) -> int:
     )
     answer = {
         "format": "twin-check/1", "holds": not bad, "max_nrmse_percent": args.max_nrmse, "fit": fits,
-        "recording_faults": _faults(recordings),
+        "recording_faults": faults_of(recordings),
     }  # fmt: skip
     _answer(args, [*_assumptions(rig), *_fault_lines(recordings), *_fit_lines(bad or fits), verdict], answer)
     return 1 if bad else 0

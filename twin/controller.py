@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,9 +13,11 @@ from twin import sampled
 from twin.axis import KNOWN, Structure
 from twin.errors import BadInput
 from twin.model import INPUT_NAMES, read_structure, read_units
-from twin.tomlfile import finite, load, number, pairs, parse, quoted, real, section, texts
+from twin.tomlfile import check_keys, finite, load, number, pairs, parse, quoted, real, section, size, texts
 
 FORMAT = "twin-controller/1"
+_TABLES = ("axis", "structure", "parameters", "settings", "known", "margins", "limit_cycle", "remarks")
+_AXIS = ("unit", "input_unit", "reachable_speed", "reachable_acceleration", "lower_end", "upper_end")
 _NO_ENDS = {"lower": -math.inf, "upper": math.inf}
 
 
@@ -146,15 +148,11 @@ def _values(where: str, table: Mapping[str, Any], structure: Structure) -> dict[
 
 
 def _settings(where: str, table: Mapping[str, Any]) -> dict[str, float]:
-    for name in table:
-        if name not in sampled.SETTINGS:
-            known = ", ".join(sampled.SETTINGS)
-            raise BadInput(f"{where}: [settings] {name} is unknown: remove it; known are {known}")
     settings = {}
     for name in sampled.SETTINGS:
         if name not in table:
             raise BadInput(f"{where}: [settings] has no {name}: add it, or design anew with twin control")
-        settings[name] = finite(f"{where}: [settings] {name}", table[name])
+        settings[name] = size(f"{where}: [settings] {name}", table[name])
     for name in ("sample_time", "pieces", "limit", "velocity_gain", "rest_speed", "blur"):
         if settings[name] <= 0.0:
             raise BadInput(f"{where}: [settings] {name} is {settings[name]:g}: give a value above 0")
@@ -170,13 +168,16 @@ def _settings(where: str, table: Mapping[str, Any]) -> dict[str, float]:
 def loads(text: str, where: str = "controller") -> Controller:
     """A controller from TOML text. `where` names it in messages. Raises BadInput."""
     document = parse(text, where, FORMAT, "give a CONTROLLER.toml that twin control wrote")
-    axis, structures = section(where, document, "axis"), section(where, document, "structure")
+    check_keys(where, document, ("format", "bandwidth", *_TABLES))
+    axis = section(where, document, "axis", _AXIS)
+    structures = section(where, document, "structure", ("plant", "controller"))
     axis_unit, input_unit = read_units(where, axis)
     structure = read_structure(where, structures, "controller")
     if "constant_offset" not in structure:
         raise BadInput(f"{where}: [structure] controller lacks constant_offset, the integral action: add it")
-    margins, cycle = section(where, document, "margins"), section(where, document, "limit_cycle")
-    remarks = section(where, document, "remarks").get("says", [])
+    margins = section(where, document, "margins", (*(f.name for f in fields(Margins)), "command_noise"))
+    cycle = section(where, document, "limit_cycle", [f.name for f in fields(LimitCycle)])
+    remarks = section(where, document, "remarks", ("says",)).get("says", [])
     if not isinstance(remarks, list):
         raise BadInput(f"{where}: [remarks] says is {remarks!r}: give a list of sentences")
 
@@ -190,15 +191,18 @@ def loads(text: str, where: str = "controller") -> Controller:
     lower, upper = (real(f"{where}: [axis] {n}_end", axis.get(f"{n}_end", e)) for n, e in _NO_ENDS.items())
     if not lower < upper:
         raise BadInput(f"{where}: [axis] lower_end {lower:g} is not below upper_end {upper:g}: correct them")
+    bandwidth = finite(f"{where}: bandwidth", document.get("bandwidth", 1.0))
+    if bandwidth <= 0.0:
+        raise BadInput(f"{where}: bandwidth is {bandwidth:g} Hz: give a value above 0")
     return Controller(
         plant=read_structure(where, structures, "plant"),
         structure=structure,
         values=_values(where, section(where, document, "parameters"), structure),
-        settings=_settings(where, section(where, document, "settings")),
+        settings=_settings(where, section(where, document, "settings", sampled.SETTINGS)),
         known={k: finite(f"{where}: [known] {k}", v) for k, v in section(where, document, "known").items()},
         axis_unit=axis_unit,
         input_unit=input_unit,
-        bandwidth=finite(f"{where}: bandwidth", document.get("bandwidth", 1.0)),
+        bandwidth=bandwidth,
         reachable_speed=real(f"{where}: [axis] reachable_speed", axis.get("reachable_speed", math.inf)),
         reachable_acceleration=real(
             f"{where}: [axis] reachable_acceleration", axis.get("reachable_acceleration", math.inf)

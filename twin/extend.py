@@ -36,7 +36,7 @@ from twin.hold_out import Part
 from twin.likelihood import Case, Point
 from twin.loop import own_loop
 from twin.model import Model
-from twin.recording import Recording
+from twin.recording import Recording, to_fit
 from twin.search import UNSURE, Progress, Search
 from twin.unknown import TERMS, Term
 from twin.writers import latex
@@ -384,6 +384,7 @@ def diagnose(
     seen = found.last
     lap("search")
     case, lacking = _telling(found)
+    telling = to_fit(recordings)[list(found.cases).index(case)].name
     left = [lacking, unknown.leftover(case, found.last.structure, found.last.values)]
     tell("trying shapes without a name", 0.85)
     nameless = _nameless(found, left[0], left[1], chances)
@@ -435,15 +436,16 @@ def diagnose(
     tell("designing the next experiment", 0.95)
     designed = _next(found)
     lap("next experiment")
-    telling = [*(f.id for f in findings), *(i for i in after.structure.ids if i in UNKNOWN)]
-    depends = tuple(EFFECTS[telling[0]].depends_on) if telling else left[0].variables
+    added = [*(f.id for f in findings), *(i for i in after.structure.ids if i in UNKNOWN)]
+    depends = tuple(EFFECTS[added[0]].depends_on) if added else left[0].variables
     _, ranking = _probabilities(found)
     return Diagnosis(
         verdict=verdict,
         findings=findings,
         ranking=ranking,
-        station=EFFECTS[telling[0]].station if telling else "",
+        station=EFFECTS[added[0]].station if added else "",
         depends_on=depends if verdict != "nothing_missing" else (),
+        telling=telling,
         segments=tuple(locate.segments(missing[0])),
         before=before,
         after=after,
@@ -454,7 +456,6 @@ def diagnose(
         shapes_before=shapes[0],
         shapes_after=shapes[1],
         recordings=tuple(recordings),
-        faults=tuple(f for r in recordings for f in r.faults),
         experiment=designed,
         undecided=_undecided(found),
         remarks=(*_remarks(found, fit), *said),

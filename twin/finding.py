@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twin.locate import Missing, Segment, Shape
 from twin.model import Model
-from twin.recording import Fault, Recording
+from twin.recording import Recording, faults_of
 
 FloatArray = NDArray[np.float64]
 
@@ -98,17 +98,17 @@ class Diagnosis:
     ranking: tuple[tuple[str, float], ...]
     station: str
     depends_on: tuple[str, ...]
-    segments: tuple[Segment, ...]
+    telling: str  # name of the training recording in which the first model lacks most
+    segments: tuple[Segment, ...]  # of it
     before: Model
     after: Model
     fit: Mapping[str, Mapping[str, Fitness]]
     traces: tuple[Trace, ...]
-    missing_before: Missing  # of the training recording in which the first model lacks most
+    missing_before: Missing  # in it
     missing_after: Missing
     shapes_before: tuple[Shape, ...]
     shapes_after: tuple[Shape, ...]
     recordings: tuple[Recording, ...]
-    faults: tuple[Fault, ...]
     experiment: Experiment = field(default_factory=Experiment)
     undecided: tuple[Undecided, ...] = ()
     remarks: tuple[str, ...] = ()  # sentences: criteria that disagree, what the recording cannot fix
@@ -148,10 +148,11 @@ def to_json(diagnosis: Diagnosis, experiment_file: str = "") -> dict[str, Any]:
         "mismatch": {
             "station": d.station,
             "depends_on": list(d.depends_on),
+            "recording": d.telling,
             "segments": [{"start": s.start, "end": s.end, "share": s.share} for s in d.segments],
         },
         "fit": {role: {when: _fitness(f) for when, f in both.items()} for role, both in d.fit.items()},
-        "recording_faults": [{"kind": f.kind, "start": f.start, "end": f.end, "says": f.says} for f in d.faults],
+        "recording_faults": faults_of(d.recordings),
         "next_experiment": {"why": d.experiment.why, "file": experiment_file},
         "undecided": [
             {"ids": list(u.ids), "probabilities": list(u.probabilities), "experiment": u.experiment}

@@ -15,9 +15,11 @@ from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.errors import BadInput
 from twin.quantities import Parameter
-from twin.tomlfile import finite, load, number, parse, quoted, section, texts
+from twin.tomlfile import check_keys, finite, load, number, parse, quoted, section, size, texts
 
 FORMAT = "twin-model/1"
+_TABLES = ("axis", "structure", "parameters", "noise", "known", "covariance", "provenance")
+_ENTRY = ("value", "std", "interval", "unit", "meaning", "note")  # of a parameter
 INPUT_NAMES = {"%": "duty", "V": "voltage", "A": "current", "N*m": "torque", "N": "force"}
 
 
@@ -149,14 +151,17 @@ def loads(text: str, where: str = "model") -> Model:
     """A model from TOML text. `where` names it in messages. Raises BadInput."""
     advice = "give a MODEL.toml that twin identify or twin diagnose wrote"
     document = parse(text, where, FORMAT, advice)
-    axis, noise = section(where, document, "axis"), section(where, document, "noise")
-    structure = read_structure(where, section(where, document, "structure"), "effects")
+    check_keys(where, document, ("format", *_TABLES))
+    axis = section(where, document, "axis", ("unit", "input_unit", "sample_time", "resolution", "reads_speed"))
+    noise = section(where, document, "noise", ("reading_std", "torque_density"))
+    structure = read_structure(where, section(where, document, "structure", ("effects",)), "effects")
     tables = section(where, document, "parameters")
     values, intervals, notes = {}, {}, {}
     for p in structure.parameters:
         entry = tables.get(p.name)
         if not isinstance(entry, dict) or "value" not in entry:
             raise BadInput(f"{where}: [parameters.{p.name}] has no value: the structure needs it")
+        check_keys(f"{where}: [parameters.{p.name}]", entry, _ENTRY)
         value = finite(f"{where}: [parameters.{p.name}] value", entry["value"])
         if not p.lower <= value <= p.upper:
             raise BadInput(f"{where}: {p.name} = {value:g} is outside [{p.lower:g}, {p.upper:g}]: correct it")
@@ -172,12 +177,15 @@ def loads(text: str, where: str = "model") -> Model:
     for name in tables:
         if name not in values:
             raise BadInput(f"{where}: [parameters.{name}] belongs to no effect of the structure: remove it")
-    fitted, covariance = _covariance(where, section(where, document, "covariance"), values)
+    fitted, covariance = _covariance(where, section(where, document, "covariance", ("parameters", "matrix")), values)
     axis_unit, input_unit = read_units(where, axis)
     sample_time = finite(f"{where}: [axis] sample_time", axis.get("sample_time", 0.002))
     if not 0.0 < sample_time <= 10.0:
         raise BadInput(f"{where}: [axis] sample_time is {sample_time:g} s: give a period above 0 and up to 10 s")
     known = {k: finite(f"{where}: [known] {k}", v) for k, v in section(where, document, "known").items()}
+    reads_speed = axis.get("reads_speed", False)
+    if not isinstance(reads_speed, bool):
+        raise BadInput(f"{where}: [axis] reads_speed is {reads_speed!r}: use true or false")
     return Model(
         structure=structure,
         values=values,
@@ -188,10 +196,10 @@ def loads(text: str, where: str = "model") -> Model:
         axis_unit=axis_unit,
         input_unit=input_unit,
         sample_time=sample_time,
-        resolution=finite(f"{where}: [axis] resolution", axis.get("resolution", 0.0)),
-        reads_speed=bool(axis.get("reads_speed", False)),
-        reading_std=finite(f"{where}: [noise] reading_std", noise.get("reading_std", 0.0)),
-        torque_density=finite(f"{where}: [noise] torque_density", noise.get("torque_density", 0.0)),
+        resolution=size(f"{where}: [axis] resolution", axis.get("resolution", 0.0)),
+        reads_speed=reads_speed,
+        reading_std=size(f"{where}: [noise] reading_std", noise.get("reading_std", 0.0)),
+        torque_density=size(f"{where}: [noise] torque_density", noise.get("torque_density", 0.0)),
         known=known,
         provenance={k: str(v) for k, v in section(where, document, "provenance").items()},
     )

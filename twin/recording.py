@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -210,6 +211,11 @@ def to_fit(recordings: Sequence[Recording]) -> list[Recording]:
     if not train:
         raise BadInput("every recording has the role holdout: give at least one to fit")
     return train
+
+
+def faults_of(recordings: Sequence[Recording]) -> list[dict[str, Any]]:
+    """What is wrong with the recordings, as JSON of every command says it."""
+    return [{"recording": r.name, **vars(f)} for r in recordings for f in r.faults]
 
 
 def load(paths: Sequence[Path], rig: Path | None = None) -> tuple[list[Recording], Rig]:

@@ -289,8 +289,7 @@ def _recordings_table(d: Diagnosis) -> str:
 
 def _residual(story: Story) -> str:
     d = story.diagnosis
-    trained = [r for r in d.recordings if r.role == "train"]
-    longest = escape(max(trained, key=lambda r: r.time[-1]).name) if len(d.recordings) > 1 else "the recording"
+    where = escape(d.telling) if len(d.recordings) > 1 else "the recording"
     changed = len(figures.models(d)) > 1
     parts = [
         _said(
@@ -299,7 +298,7 @@ def _residual(story: Story) -> str:
         ),
         _figure(
             figures.missing_over_time(d),
-            f"The missing torque along {longest}, {_legend(d)}; shaded, "
+            f"The missing torque along {where}, {_legend(d)}; shaded, "
             f"{_key('misfit', 'where most of the misfit is')}; on the right the worst such stretch, from nearby.",
         ),
     ]
@@ -389,8 +388,13 @@ def _two_stage(story: Story) -> str:
 
 def _faults(story: Story) -> str:
     d = story.diagnosis
-    rows = [(escape(f.kind), number(f.start), number(f.end), escape(f.says)) for f in d.faults[:_MOST_ROWS]]
-    said = _said(f"{len(d.faults)} faults; the first {_MOST_ROWS}:") if len(d.faults) > _MOST_ROWS else ""
+    several = len(d.recordings) > 1
+    faults = [(r.name, f) for r in d.recordings for f in r.faults]
+    rows = [
+        (escape(f.kind), number(f.start), number(f.end), escape(f"{name}: {f.says}" if several else f.says))
+        for name, f in faults[:_MOST_ROWS]
+    ]
+    said = _said(f"{len(faults)} faults; the first {_MOST_ROWS}:") if len(faults) > _MOST_ROWS else ""
     assumed = "".join(_said(f"Assumed, for want of a rig file: {a}") for a in story.rig.assumed)
     if not rows:
         return _section("recording", "The recording", assumed, _said("No faults were found in it."))

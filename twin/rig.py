@@ -4,7 +4,6 @@ Every unit that a user may write is converted to one of `%, V, A, N*m, N` for th
 `rad, m, rad/s, m/s` for the output. What the user writes is `value = (raw - offset) * scale`, in `unit`.
 """
 
-import difflib
 import math
 import re
 import tomllib
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from twin.errors import BadInput
+from twin.tomlfile import check_keys
 
 # unit as the user writes it -> (unit we keep, factor); a count's factor needs counts_per_revolution
 Units = Mapping[str, tuple[str, float]]
@@ -144,7 +144,7 @@ def read_rig(path: Path) -> Rig:
 
 
 def _rig(table: Mapping[str, Any], where: str) -> Rig:
-    _check_keys(table, ("time", "input", "output", "optional", "known", "loop", "structure"), where)
+    check_keys(where, table, ("time", "input", "output", "optional", "known", "loop", "structure"))
     for key in ("input", "output"):
         if key not in table:
             raise BadInput(f"{where}: [{key}] is missing; say which column it is and in what unit")
@@ -153,9 +153,9 @@ def _rig(table: Mapping[str, Any], where: str) -> Rig:
         if roles[key] is not None and roles[key] == roles[other]:
             raise BadInput(f"{where}: [{key}] and [{other}] are both column '{roles[key]}'; name two columns")
     optional = _table(table, "optional", where)
-    _check_keys(optional, OPTIONAL_UNITS, f"{where} [optional]")
+    check_keys(f"{where} [optional]", optional, OPTIONAL_UNITS)
     structure = _table(table, "structure", where)
-    _check_keys(structure, ("effects",), f"{where} [structure]")
+    check_keys(f"{where} [structure]", structure, ("effects",))
     effects = structure.get("effects", [])
     if not isinstance(effects, list) or not all(isinstance(e, str) for e in effects):
         raise BadInput(
@@ -180,7 +180,7 @@ def _rig(table: Mapping[str, Any], where: str) -> Rig:
 
 
 def _clock(table: Mapping[str, Any], where: str) -> Clock:
-    _check_keys(table, ("column", "unit", "sample_time"), where)
+    check_keys(where, table, ("column", "unit", "sample_time"))
     column = _text(table, "column", where) if "column" in table else None
     sample_time = _number(table, "sample_time", where) if "sample_time" in table else None
     if column is not None and sample_time is not None:
@@ -193,7 +193,7 @@ def _clock(table: Mapping[str, Any], where: str) -> Clock:
 
 def _column(table: Mapping[str, Any], units: Units, where: str, more: Sequence[str] = ()) -> Column:
     allowed = ("column", "unit", "offset", "scale", "resolution", "counts_per_revolution", *more)
-    _check_keys(table, allowed, where)
+    check_keys(where, table, allowed)
     if "column" not in table:
         raise BadInput(f"{where}: column is missing; name the column of the recording")
     written = table.get("unit")
@@ -248,7 +248,7 @@ def _loop(table: Mapping[str, Any], where: str) -> LoopRig:
         "reference_rate_limit",
         "minimum",
     )
-    _check_keys(table, allowed, where)
+    check_keys(where, table, allowed)
     for key in ("reference", "law"):
         if key not in table:
             raise BadInput(f"{where}: {key} is missing")
@@ -284,15 +284,6 @@ def _table(table: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
     if not isinstance(value, dict):
         raise BadInput(f"{where}: {key} = {value!r} must be a table, written [{key}]")
     return value
-
-
-def _check_keys(table: Mapping[str, Any], allowed: Iterable[str], where: str) -> None:
-    allowed = list(allowed)
-    for key in table:
-        if key not in allowed:
-            near = difflib.get_close_matches(key, allowed, n=1)
-            hint = f"did you mean '{near[0]}'?" if near else f"known keys: {', '.join(allowed)}"
-            raise BadInput(f"{where}: unknown key '{key}'; {hint}")
 
 
 def _number(table: Mapping[str, Any], key: str, where: str) -> float:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -65,11 +66,25 @@ def parse(content: str, where: str, wanted: str, advice: str) -> dict[str, Any]:
     return document
 
 
-def section(where: str, document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """A table of the document, empty where it is absent. Raises BadInput."""
+def check_keys(where: str, table: Mapping[str, Any], allowed: Iterable[str]) -> None:
+    """Raises BadInput for a key that nothing reads: it would be left out in silence."""
+    known = list(allowed)
+    for key in table:
+        if key not in known:
+            near = get_close_matches(key, known, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
+            raise BadInput(f"{where}: unknown key {key!r}; {hint}")
+
+
+def section(where: str, document: Mapping[str, Any], key: str, allowed: Iterable[str] = ()) -> Mapping[str, Any]:
+    """A table of the document, empty where it is absent; its keys are among those allowed, if any are said. Raises
+    BadInput.
+    """
     found = document.get(key, {})
     if not isinstance(found, dict):
         raise BadInput(f"{where}: {key} is {found!r}, which is not a table: write it as [{key}]")
+    if allowed:
+        check_keys(f"{where}: [{key}]", found, allowed)
     return found
 
 
@@ -88,4 +103,12 @@ def finite(where: str, value: Any) -> float:
     found = real(where, value)
     if not math.isfinite(found):
         raise BadInput(f"{where} is {value!r}, which is not a finite number: give one")
+    return found
+
+
+def size(where: str, value: Any) -> float:
+    """A finite number that is not negative. Raises BadInput."""
+    found = finite(where, value)
+    if found < 0.0:
+        raise BadInput(f"{where} is {found:g}: give 0 or more")
     return found
