@@ -15,7 +15,7 @@ ORDER = """errors tomlfile files style quantities words effects axis equations m
     kernel faults rig formats manifest recording loop likelihood meetings ready startup ascent two_stage identify
     fitting locate compare screening plausibility valleys foretold explain unknown redrawn finding experiment archive
     running compilers package native ssp search hold_out extend sampled controller linear control reference
-    controller_fmu robust cosim phrases figures report pipeline cli pytest_plugin __main__"""
+    controller_fmu robust cosim phrases figures report pipeline cli checks pytest_plugin __main__"""
 TOP = {
     "pyproject.toml", "fmu_src", "twin", "tests", "models", "scripts", "README.md", "LICENSE", "CONTRIBUTING.md",
     "docs", ".ci", ".gitignore",

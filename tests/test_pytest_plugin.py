@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,11 +11,11 @@ import numpy as np
 import pytest
 from test_control import axis
 
+from twin.checks import Checks
 from twin.control import design
 from twin.controller import dumps
 from twin.cosim import ModelPlant, make_reference, simulate, unaware
 from twin.package import export
-from twin.pytest_plugin import Checks
 
 pytest_plugins = ["pytester"]
 
@@ -96,3 +98,11 @@ def test_plugin_runs_in_a_users_suite(files: Path, pytester: pytest.Pytester) ->
     assert "in open_fmu" not in result.stdout.str()
     assert [p.name for p in (files / "seen").iterdir()] == ["test_drifts.png"]
     assert np.all([p.stat().st_size > 5000 for p in (files / "seen").iterdir()])
+
+
+def test_a_project_that_asks_for_no_check_waits_for_none() -> None:
+    """The plugin is read at every start of pytest."""
+    code = "import sys, pytest; known = {*sys.modules}; import twin.pytest_plugin; print(*({*sys.modules} - known))"
+    new = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert "twin.pytest_plugin" in new
+    assert {name for name in new if name.split(".")[0] != "twin"} == set()
