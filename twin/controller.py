@@ -13,7 +13,7 @@ from twin import sampled
 from twin.axis import KNOWN, Structure
 from twin.errors import BadInput
 from twin.model import INPUT_NAMES, read_structure, read_units
-from twin.tomlfile import check_keys, finite, load, number, pairs, parse, quoted, real, section, size, texts
+from twin.tomlfile import finite, load, number, pairs, parse, quoted, real, section, size, texts
 
 FORMAT = "twin-controller/1"
 _TABLES = ("axis", "structure", "parameters", "settings", "known", "margins", "limit_cycle", "remarks")
@@ -167,8 +167,8 @@ def _settings(where: str, table: Mapping[str, Any]) -> dict[str, float]:
 
 def loads(text: str, where: str = "controller") -> Controller:
     """A controller from TOML text. `where` names it in messages. Raises BadInput."""
-    document = parse(text, where, FORMAT, "give a CONTROLLER.toml that twin control wrote")
-    check_keys(where, document, ("format", "bandwidth", *_TABLES))
+    advice = "give a CONTROLLER.toml that twin control wrote"
+    document = parse(text, where, FORMAT, advice, ("bandwidth", *_TABLES))
     axis = section(where, document, "axis", _AXIS)
     structures = section(where, document, "structure", ("plant", "controller"))
     axis_unit, input_unit = read_units(where, axis)

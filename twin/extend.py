@@ -384,6 +384,7 @@ def diagnose(
     seen = found.last
     lap("search")
     case, lacking = _telling(found)
+    # By the name that the user knows: what was fitted may have been cut where the rest is held out.
     telling = to_fit(recordings)[list(found.cases).index(case)].name
     left = [lacking, unknown.leftover(case, found.last.structure, found.last.values)]
     tell("trying shapes without a name", 0.85)

@@ -150,8 +150,7 @@ def read_units(where: str, axis: Mapping[str, Any]) -> tuple[str, str]:
 def loads(text: str, where: str = "model") -> Model:
     """A model from TOML text. `where` names it in messages. Raises BadInput."""
     advice = "give a MODEL.toml that twin identify or twin diagnose wrote"
-    document = parse(text, where, FORMAT, advice)
-    check_keys(where, document, ("format", *_TABLES))
+    document = parse(text, where, FORMAT, advice, _TABLES)
     axis = section(where, document, "axis", ("unit", "input_unit", "sample_time", "resolution", "reads_speed"))
     noise = section(where, document, "noise", ("reading_std", "torque_density"))
     structure = read_structure(where, section(where, document, "structure", ("effects",)), "effects")

@@ -55,17 +55,6 @@ def format_of(content: str) -> str:
         return ""
 
 
-def parse(content: str, where: str, wanted: str, advice: str) -> dict[str, Any]:
-    """The document, whose `format` must be the wanted one. Raises BadInput, which ends in the advice."""
-    try:
-        document = tomllib.loads(content)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise BadInput(f"{where}: {error}; it is not valid TOML: mend that line") from None
-    if document.get("format") != wanted:
-        raise BadInput(f"{where}: format is {document.get('format')!r}, not {wanted!r}: {advice}")
-    return document
-
-
 def check_keys(where: str, table: Mapping[str, Any], allowed: Iterable[str]) -> None:
     """Raises BadInput for a key that nothing reads: it would be left out in silence."""
     known = list(allowed)
@@ -74,6 +63,20 @@ def check_keys(where: str, table: Mapping[str, Any], allowed: Iterable[str]) -> 
             near = get_close_matches(key, known, 1)
             hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
             raise BadInput(f"{where}: unknown key {key!r}; {hint}")
+
+
+def parse(content: str, where: str, wanted: str, advice: str, keys: Iterable[str]) -> dict[str, Any]:
+    """The document, whose `format` must be the wanted one, and whose other keys are among these. Raises BadInput, for
+    another format with the advice.
+    """
+    try:
+        document = tomllib.loads(content)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise BadInput(f"{where}: {error}; it is not valid TOML: mend that line") from None
+    if document.get("format") != wanted:
+        raise BadInput(f"{where}: format is {document.get('format')!r}, not {wanted!r}: {advice}")
+    check_keys(where, document, ("format", *keys))
+    return document
 
 
 def section(where: str, document: Mapping[str, Any], key: str, allowed: Iterable[str] = ()) -> Mapping[str, Any]:
