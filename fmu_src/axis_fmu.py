@@ -81,9 +81,9 @@ class Axis(Fmi2Slave):
         self.variables = face["variables"]
         references = {variable["name"]: variable["reference"] for variable in self.variables}
         self.v = [values.get(variable["name"], 0.0) for variable in self.variables]
-        first, second = references["position"], references["gap"]
+        first, second, last = references["position"], references["gap"], references["time_since_start"]
         self.outer = slice(first, first + 2)  # position and velocity
-        self.hidden = slice(second, second + 5)  # the other five states, in the stepper's order
+        self.hidden = slice(second, last + 1)  # the other states, in the stepper's order
         self.known = [references.get(name) for name in face["known"]]
         self.parameters = [references[name] for name in face["parameters"]]
         self.starts = [references["position_start"], references["velocity_start"]]
@@ -98,9 +98,10 @@ class Axis(Fmi2Slave):
             self.values = references["delay_value[1]"]
         self.longest = face["longest_step"]
         self.round = face["round"]
-        sizes = (7, len(self.parameters), len(self.known))
+        states = 2 + last + 1 - second
+        sizes = (states, len(self.parameters), len(self.known))
         self.advance, self.hold = stepper(str(resources / f"{__name__}_stepper.so"), sizes)
-        self.x = self.hold([0.0] * 7)
+        self.x = self.hold([0.0] * states)
         self.p = self.hold([0.0] * len(self.parameters))
         self.k = self.hold([0.0] * len(self.known))
         self.ready = False
@@ -126,7 +127,8 @@ class Axis(Fmi2Slave):
     def begin(self):
         """Put the axis where the start values say, at rest inside, nothing on its way."""
         position, velocity = (self.v[i] for i in self.starts)
-        self.x[:] = [position, velocity, 0.0, velocity, 0.0, 0.0, 0.0]
+        rest = [0.0] * (len(self.x) - 4)
+        self.x[:] = [position, velocity, 0.0, velocity, *rest]
         if self.capacity:
             self.v[self.acting] = self.v[self.count] = 0.0
         self.take()

@@ -70,6 +70,8 @@ SANE: dict[str, tuple[float, float]] = {
     "unknown_position_from": (-1.0, -0.5),
     **dict.fromkeys(knots.widths("unknown_position"), (0.045, 0.27)),
     "unknown_velocity_from": (-3.0, -2.0),
+    "unknown_bend_level": (0.5, 3.0),
+    "unknown_bend_give": (0.02, 0.1),
     **dict.fromkeys(knots.widths("unknown_velocity"), (0.18, 0.82)),
     "unknown_input_from": (-60.0, -40.0),
     **dict.fromkeys(knots.widths("unknown_input"), (3.6, 16.0)),
@@ -125,7 +127,7 @@ def run(
     longest: float | None = None,
     known: dict[str, float] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Reading (N,) and states (N, 7) of a free run; at rest in mid-gap unless `start` says otherwise."""
+    """Reading (N,) and states (N, states) of a free run; at rest in mid-gap unless `start` says otherwise."""
     step = 0.002 / structure.substeps if longest is None else longest
     x = kernel.start_state(0.0, 0.0, 0.0) if start is None else start
     recording = drive(time, command, step, known)

@@ -51,8 +51,8 @@ VALUES = {
 }
 #: With compliance there is no rigid contact, without it there is: both are needed to have every effect on.
 RIGID = EVERYTHING.without("joint_elasticity", "tooth_compliance")
-NAMES = ("position", "velocity", "position_measured", "gap", "motor_velocity", "lag", "heat")
-COLUMNS = (0, 1, None, 2, 3, 4, 5)
+NAMES = ("position", "velocity", "position_measured", "gap", "motor_velocity", "lag", "heat", "bend")
+COLUMNS = (0, 1, None, 2, 3, 4, 5, 6)
 #: Exact in binary, so that stamps, spans and edges of the delay carry no rounding for the motion to amplify.
 PERIOD = 2.0**-9
 
@@ -73,7 +73,7 @@ def command(count: int, held: int = 1) -> np.ndarray:
 def by_kernel(
     model: Model, u: np.ndarray, position: float, velocity: float, period: float = PERIOD
 ) -> np.ndarray:
-    """Position, velocity, reading and hidden states (N, 7) from a free run of the compiled kernel."""
+    """Position, velocity, reading and hidden states (N, states) from a free run of the compiled kernel."""
     count = len(u)
     drive = kernel.Drive(
         np.arange(count) * period, u, np.full(count, math.nan), False, kernel.known_vector(model.known),

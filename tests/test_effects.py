@@ -22,7 +22,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twin import axis, equations, kernel
-from twin.axis import EVERYTHING, KNOWN, Structure
+from twin.axis import EVERYTHING, KNOWN, STATES, Structure
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN
 from twin.effects.effect import SLOTS, Effect
 from twin.equations import trace
@@ -166,7 +166,8 @@ def test_odd_effects_mirror(effect):
     command = steps(rng, len(TIME))
     start = kernel.start_state(0.1, 0.5, 0.002)
     there, _ = run(structure, values, TIME, command, start)
-    back, _ = run(structure, values, TIME, -command, start * np.array([-1, -1, -1, -1, -1, 1, 1]))
+    mirror = np.array([1.0 if state in ("heat", "time") else -1.0 for state in STATES])
+    back, _ = run(structure, values, TIME, -command, start * mirror)
     mirrored = np.allclose(there, -back, rtol=0.0, atol=1e-12)
     assert mirrored if "odd" in effect.promises else True
     # These mirror too, but promise nothing about it.
@@ -183,7 +184,7 @@ def test_memoryless_effects_need_only_the_state_of_motion(effect):
     whole, states = run(structure, values, TIME, command)
     half = len(TIME) // 2
     motion = states[half].copy()
-    motion[4:6] = 0.0  # what it would have to remember
+    motion[4:7] = 0.0  # lag, heat and bend: what it would have to remember
     tail, _ = run(structure, values, TIME[half:], command[half:], motion)
     same = np.allclose(tail, whole[half:], rtol=0.0, atol=1e-12)
     twisted = effect.id in {"joint_elasticity", "tooth_compliance"}  # their state is motion, too
@@ -210,12 +211,12 @@ def test_a_sagging_supply_gives_what_its_own_current_leaves(command, emf, sag, s
 # Units --------------------------------------------------------------------------------------------------
 
 SLOT_UNITS = {
-    "command": "{u}", "emf": "{u}", "heat": "1", "position": "{x}", "velocity": "{x}/s", "time": "s",
+    "command": "{u}", "emf": "{u}", "heat": "1", "bend": "1", "position": "{x}", "velocity": "{x}/s", "time": "s",
     "direction": "1", "transmitted": "{x}/s^2", **{name: unit for name, (unit, _) in KNOWN.items()},
 }  # fmt: skip
 RETURNS = {
-    "drive": "{u}", "load": "{x}/s^2", "shaft": "{x}/s^2", "drag": "{x}/s^2", "grip": "{x}/s^2", "mass": "1",
-    "sensor": "{x}",
+    "drive": "{u}", "load": "{x}/s^2", "shaft": "{x}/s^2", "drag": "{x}/s^2", "bristle": "{x}/s^2",
+    "grip": "{x}/s^2", "mass": "1", "sensor": "{x}",
 }  # fmt: skip
 #: Numbers in laws that are quantities: standard gravity (inertia being torque per rad/s^2) and a turn.
 LITERALS = {9.80665: "{x}*m/s^2", 6.283185307179586: "rad"}
@@ -295,13 +296,14 @@ def random_cases(structure: Structure, count: int, seed: int):
     rng = np.random.default_rng(seed)
     for case in range(count):
         p = np.array(list(sane(structure, rng).values()))
-        x = rng.normal(size=7)
+        x = rng.normal(size=len(STATES))
         half = 0.5 * sane(structure, rng).get("backlash_gap", 0.0)
         if case % 2:
             x[3], x[2] = x[1], half
         if case % 3 == 0:
             x[1] = x[3] = 0.0
         x[5:] = np.abs(x[5:])
+        x[6] = np.tanh(x[6])
         yield p, x, rng.uniform(0.0, 0.1, 2), float(rng.uniform(-50.0, 50.0))
 
 
@@ -352,7 +354,7 @@ def in_high_precision(structure: Structure, values: dict, command: np.ndarray) -
     exec(text, space)
     p = list(values.values())
     k = [EXACT(v) for v in PAYLOAD.values()]
-    x = [EXACT(0)] * 7
+    x = [EXACT(0)] * len(STATES)
     delay = values.get("delay", 0)
     sample = EXACT("0.002")
     readings = []
@@ -408,11 +410,11 @@ def test_derivative_is_that_of_the_computed_trajectory(effect, monkeypatch):
     names = tuple(dict.fromkeys([*(p.name for p in looked), "viscous_friction"]))
     recording = drive(0.002 * np.arange(count), command, 0.0021)
     vector, start = kernel.vector(structure, values), kernel.start_state(0.0, 0.0, 0.0)
-    compiled = kernel.predict_with_slopes(recording, vector, start, np.zeros((7, len(names))), names)
+    compiled = kernel.predict_with_slopes(recording, vector, start, np.zeros((len(STATES), len(names))), names)
     assert np.allclose(compiled.reading, kernel.predict(recording, vector, start).reading, rtol=0.0, atol=1e-13)
     monkeypatch.setattr(kernel, "PRECISION", np.float64)
     monkeypatch.setattr(kernel, "_serving", lambda p: interpreted())
-    written = kernel.predict_with_slopes(recording, vector, start, np.zeros((7, len(names))), names)
+    written = kernel.predict_with_slopes(recording, vector, start, np.zeros((len(STATES), len(names))), names)
     assert np.allclose(written.reading, compiled.reading, rtol=0.0, atol=1e-13)
     exact = {n: EXACT(v) for n, v in values.items()}
     for j, name in enumerate(names):
@@ -432,7 +434,7 @@ def test_derivative_with_respect_to_the_start():
     recording = drive(TIME[:200], steps(rng, 200))
     vector = kernel.vector(structure, values)
     start = kernel.start_state(0.2, 0.4, 0.5 * values["backlash_gap"])
-    slope = np.zeros((7, 2))
+    slope = np.zeros((len(STATES), 2))
     slope[0, 0] = slope[1, 1] = slope[3, 1] = 1.0
     slopes = kernel.predict_with_slopes(recording, vector, start, slope, ("start_a", "start_b")).slopes
     for j in range(2):

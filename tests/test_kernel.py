@@ -11,7 +11,7 @@ import pytest
 from axis_runs import drive
 
 from twin import kernel
-from twin.axis import Structure
+from twin.axis import STATES, Structure
 from twin.effects.catalogue import BASE
 
 
@@ -43,4 +43,5 @@ def test_no_derivative_is_given_for_what_is_never_fitted():
     recording, values = drive(0.002 * np.arange(9), np.zeros(9)), {p.name: p.start for p in structure.parameters}
     vector, start = kernel.vector(structure, values), kernel.start_state(0.0, 0.0, 0.0)
     with pytest.raises(ValueError, match="sag_reference"):
-        kernel.predict_with_slopes(recording, vector, start, np.zeros((7, 2)), ("input_gain", "sag_reference"))
+        none = np.zeros((len(STATES), 2))
+        kernel.predict_with_slopes(recording, vector, start, none, ("input_gain", "sag_reference"))

@@ -28,6 +28,8 @@ CURVE = through("unknown_position", SPOTS, -STIFFENING * SPOTS**3)
 #: A spring, and gravity that pulls against it about the middle, or with it.
 AGAINST = {"gravity_gain": 4.8, "gravity_angle": np.pi, "spring_stiffness": 4.8, "spring_rest": 0.0}
 WITH = {**AGAINST, "gravity_angle": 0.0}
+#: Friction that gives by three degrees before it slides.
+GIVES = {"unknown_bend_level": 1.0, "unknown_bend_give": 0.05}
 
 
 def recorded(truth: Structure, largest: float = 25.0, **values: float) -> Recording:
@@ -219,3 +221,24 @@ def test_the_answer_is_a_curve_and_says_why(monkeypatch):
     assert found.station == "load"
     assert any("cancel each other" in s for s in found.remarks)
     assert found.fit["holdout"]["after"].rmse < 0.3 * found.fit["holdout"]["before"].rmse
+
+
+@pytest.mark.parametrize(
+    ("truth", "values", "first", "bent"),
+    [
+        ("unknown_bend", GIVES, STRUCTURE, True),
+        ("coulomb_friction", {"coulomb_friction": 1.0}, STRUCTURE, False),
+        # What the user says is there keeps its place.
+        ("unknown_bend", GIVES, STRUCTURE.with_("coulomb_friction"), False),
+    ],
+    ids=["gives", "holds", "known"],
+)  # fmt: skip
+def test_friction_that_gives_takes_the_place_of_dry_friction(truth, values, first, bent):
+    dry = STRUCTURE.with_("coulomb_friction")
+    cases = [likelihood.prepare(recorded(STRUCTURE.with_(truth), 25.0, **values), dry)]
+    begin = ready.completed(dry, VALUES | {"coulomb_friction": 0.5})
+    last = likelihood.fit(cases, dry, begin, ready.free_parameters(dry))
+    found = redrawn.redrawn(cases, first, last)
+    assert (found is not None) is bent
+    if found is not None:
+        assert found.ids == ("coulomb_friction",) and found.curve.structure == STRUCTURE.with_("unknown_bend")

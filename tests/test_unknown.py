@@ -16,6 +16,7 @@ from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, UNKNOWN
 from twin.effects.knots import KNOTS, held, line, names, spots, through
 from twin.likelihood import Case, Point
+from twin.plausibility import plausible
 from twin.recording import Recording
 from twin.search import Search, Swap
 from twin.unknown import Term
@@ -77,6 +78,8 @@ WARMING = through("unknown_drag", TIMES, np.exp(-TIMES / 8.0))
 #: Drag that is felt around one speed only, either way.
 SPEEDS = np.linspace(-8.0, 8.0, KNOTS)
 HUMP = through("unknown_velocity", SPEEDS, 2.5 * np.sign(SPEEDS) * np.exp(-((np.abs(SPEEDS) - 4.0) ** 2)))
+#: Friction that gives by three degrees before it slides.
+BENT = {"unknown_bend_level": 1.0, "unknown_bend_give": 0.05}
 CASES = {
     "hump": lambda: recorded(10, ("unknown_velocity",), **HUMP),
     "humped": lambda: recorded(11, ("unknown_velocity", "coulomb_friction"), coulomb_friction=3.0, **HUMP),
@@ -87,6 +90,8 @@ CASES = {
     "cogging": lambda: recorded(6, ("unknown_angle",), unknown_angle_order=7.0, unknown_angle_sin_1=1.5),
     "gain": lambda: recorded(7, ("unknown_gain",), unknown_gain_sin_1=0.2),
     "push": lambda: recorded(8, ("unknown_push",), unknown_push_order=3.0, unknown_push_forward_cos_1=4.0),
+    "bend": lambda: recorded(12, ("unknown_bend",), **BENT),
+    "dry": lambda: recorded(13, ("coulomb_friction",), coulomb_friction=1.0),
     "nothing": lambda: recorded(5),
 }
 
@@ -664,3 +669,24 @@ def test_a_first_model_that_the_command_does_not_move_still_gets_a_term():
     start, free = unknown._first_line(means, Term("input"), {"input_gain": 0.0})
     assert free
     assert all(np.isfinite(value) for value in start.values())
+
+
+def test_friction_that_gives_is_told_from_friction_that_holds():
+    """What gives beats dry friction where it is planted, and the way by which it gives is recovered; where dry friction
+    is, what gives becomes dry: it earns nothing and is not believed.
+    """
+    case, point = fitted("bend")
+    gives, holds = with_curve([case], point, Term("bend")), with_name(case, point, "coulomb_friction")
+    assert compare.earns(holds, gives) and plausible([case], gives)
+    assert gives.values == pytest.approx({**gives.values, **BENT}, rel=0.1)
+    case, point = fitted("dry")
+    gives, holds = with_curve([case], point, Term("bend")), with_name(case, point, "coulomb_friction")
+    assert compare.ahead(gives, holds) < 0.0 and not plausible([case], gives)
+
+
+def test_friction_that_gives_by_a_count_is_none():
+    case, point = fitted("nothing")
+    structure = STRUCTURE.with_("unknown_bend")
+    for give, right in ((2.0 * COUNT, False), (4.0 * COUNT, True), (0.5 * float(np.ptp(case.places)), False)):
+        values = {**point.values, "unknown_bend_level": 1.0, "unknown_bend_give": give}
+        assert plausible([case], replace(point, structure=structure, values=values)) is right

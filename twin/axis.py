@@ -37,6 +37,7 @@ STATES: dict[str, tuple[str, str]] = {
     "motor_velocity": ("{x}/s", "velocity of the motor, seen at the link"),
     "lag": ("{u}", "command behind the lag"),
     "heat": ("1", "warming of the motor"),
+    "bend": ("1", "how far the motor's friction is bent, as a share of what it gives before it slides"),
     "time": ("s", "time since the start"),
 }
 
@@ -231,6 +232,14 @@ def mean_beyond(before, after, mean, upper, lower):
         if first != 0.0 or last != 0.0:
             result = 0.5 * (last * last - first * first) / (after - before)
     return result
+
+
+def bent_by(bend, way, give):
+    """How far bristles are bent after a way in one direction: the nearer they are to sliding the less they follow."""
+    side = 1.0
+    if way < 0.0:
+        side = -1.0
+    return side + (bend - side) * exp(-side * way / give)
 
 
 def halved(length, rate, most):
@@ -474,6 +483,12 @@ def piece(x, p, k, command, h):
                 resist_m = drag(place, speed_m, p)
 
             push_m = torque + share * resist_m
+            if has.bristle:
+                leaning = x.bend
+                if stage == 1:
+                    leaning = bent_by(x.bend, 0.5 * middle * (x.motor_velocity + speed_m), p.unknown_bend_give)
+                held = bristle(leaning, p)
+                push_m = push_m + held
             push_l = pull + (1.0 - share) * resist_l
             if has.shaft:
                 turn_m = shaft(place + twist, p)
@@ -580,6 +595,7 @@ def piece(x, p, k, command, h):
             break
 
     span = h
+    before = x.motor_velocity
     if flow == 1:
         x.position = x.position + travel
         x.gap = twist_after
@@ -641,6 +657,9 @@ def piece(x, p, k, command, h):
         x.lag = fed + (x.lag - fed) * decay
     if has.thermal_fade:
         x.heat = warm + (x.heat - warm) * exp(-span / p.fade_time)
+    if has.bristle:
+        leaning = bent_by(x.bend, 0.5 * span * (before + x.motor_velocity), p.unknown_bend_give)
+        x.bend = leaning
     x.time = x.time + span
     return span
 
@@ -673,6 +692,6 @@ def step(x, p, k, command, h):
 
 #: The stepper's functions, in the order in which they call one another.
 STEPPER = (
-    net, tension, reaching, stopping, faded, cos_of_root, sinc_of_root, clipped, beyond, mean_beyond, halved,
+    net, tension, reaching, stopping, faded, cos_of_root, sinc_of_root, clipped, beyond, mean_beyond, bent_by, halved,
     piece, step,
 )  # fmt: skip

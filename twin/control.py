@@ -32,12 +32,15 @@ _TURN = np.linspace(0.0, 2.0 * math.pi, 25).tolist()  # places at one of which t
 
 
 def _cancelled(model: Model) -> Structure:
-    """What observer and inverse contain: all but what hangs on a moment, a wall, or rings beyond the loop."""
+    """What observer and inverse contain: all but what hangs on a moment, a wall, or rings beyond the loop, and but
+    friction that gives: how far it is bent nobody sees.
+    """
     left_out = []
     for effect in model.structure.effects:
         moment = effect.slot in ("load", "mass") and "time" in effect.depends_on
         rings = effect.station == "transmission" and "backlash" in effect.includes
-        if moment or rings or effect.station == "disturbance" or effect.id == "end_stop":
+        unseen = effect.slot == "bristle" or effect.station == "disturbance"
+        if moment or rings or unseen or effect.id == "end_stop":
             left_out.append(effect.id)
     return model.structure.without(*left_out).with_("constant_offset")
 
@@ -271,8 +274,9 @@ def _remarks(model: Model, controller: Controller) -> list[str]:
                     f"{upper:.4g} {model.axis_unit}."
                 )
             else:
+                unknown = "how far it is bent" if effect.slot == "bristle" else "its moment on the rig"
                 says.append(
-                    f"{effect.id}: its moment on the rig is not known, so it is not cancelled; "
+                    f"{effect.id}: {unknown} is not known, so it is not cancelled; "
                     "the integral action takes what it can."
                 )
     for elastic, kind in (("joint_elasticity", "joint"), ("tooth_compliance", "tooth")):

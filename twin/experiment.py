@@ -371,7 +371,7 @@ def _case(bench: _Bench, time: FloatArray, command: FloatArray, output: FloatArr
 
 
 def _free_run(bench: _Bench, point: Point, time: FloatArray, command: FloatArray) -> tuple[Case, FloatArray]:
-    """What the model would have us read, as a recording, and its states (N, 7)."""
+    """What the model would have us read, as a recording, and its states (N, states)."""
     blank = np.zeros(len(time))
     case = _case(bench, time, command, blank, point.structure)
     p = kernel.vector(point.structure, point.values)

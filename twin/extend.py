@@ -36,6 +36,7 @@ from twin.hold_out import Part
 from twin.likelihood import Case, Point
 from twin.loop import own_loop
 from twin.model import Model
+from twin.plausibility import plausible
 from twin.recording import Recording, to_fit
 from twin.search import UNSURE, Progress, Search
 from twin.unknown import TERMS, Term
@@ -51,7 +52,7 @@ DRY = 0.3
 #: earn no more than its knots' price.
 CERTAIN = 0.001
 #: Shapes that are tried whatever the missing torque shows: the likelihood sees more of them than its averages do.
-ALWAYS = ("position", "velocity", "input", "time", "drag")
+ALWAYS = ("position", "velocity", "input", "time", "drag", "bend")
 
 
 def _fitness(chosen: Sequence[Trace], which: str, white: float) -> Fitness:
@@ -174,7 +175,8 @@ def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover, 
         best = sorted(tried, key=lambda p: p.deviance)[:SKETCHES]
         fits = list(pool.map(lambda p: unknown.finish(found.cases, p), best))
     # What the first model lacked may have led its gap and teeth far astray; what is far behind the names stays there.
-    promising = [p for p in fits if compare.earned(first, p) > 0.0 and compare.ahead(last, p) < compare.LEAST]
+    near = [p for p in fits if compare.earned(first, p) > 0.0 and compare.ahead(last, p) < compare.LEAST]
+    promising = [p for p in near if plausible(found.cases, p, first)]
     moved = [unknown.relocated(found.cases, p) for p in promising]
     if len(moved) < 2:
         return moved[0] if moved else first

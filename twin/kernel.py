@@ -235,12 +235,12 @@ class Prediction:
     reading: FloatArray  # (N,) what the sensor should read, NaN where a filter begins anew
     spread: FloatArray  # (N,) variance to expect of an innovation, in units of the reading's
     pull: FloatArray  # (N,) velocity (1/s) of the mass centre that a unit of innovation adds
-    states: FloatArray  # (N, 7)
+    states: FloatArray  # (N, states)
     slopes: FloatArray  # (N, n) of the reading
 
 
 def predict(drive: Drive, p: FloatArray, x: FloatArray, noise: Noise = FREE, keep_states: bool = False) -> Prediction:
-    """Run a recording through the model from the state `x` (7,), which is left as it was."""
+    """Run a recording through the model from the state `x` (states,), which is left as it was."""
     count = len(drive.time)
     kept = count if keep_states else 0
     predicted, spread, pull, states = np.empty(count), np.empty(count), np.zeros(kept), np.empty((kept, len(STATES)))
@@ -264,8 +264,8 @@ def in_pieces(
 ) -> Iterator[tuple[slice, Prediction]]:
     """As `predict`, with the derivative with respect to the named parameters, at most so many stamps at a time.
 
-    `slope` (7, n) is the derivative of the initial state. Yields the stamps and what holds there. Raises ValueError
-    where a parameter is named that is never fitted.
+    `slope` (states, n) is the derivative of the initial state. Yields the stamps and what holds there. Raises
+    ValueError where a parameter is named that is never fitted.
     """
     if never := tangent.NEVER.intersection(names):
         raise ValueError(f"no derivative was written for what is never fitted: {', '.join(sorted(never))}")

@@ -116,7 +116,7 @@ def headline(diagnosis: Diagnosis) -> str:
     where = variables(diagnosis)
     tail = f", and it goes with {where}" if where else ""
     drawn = listed([title(i) for i in diagnosis.after.structure.ids if i in UNKNOWN])
-    curve = f". A curve is fitted in its place: {drawn}" if drawn else ""
+    curve = f". Fitted in its place: {drawn}" if drawn else ""
     return f"Something is missing that none of the known effects describes{tail}{curve}."
 
 

@@ -35,8 +35,10 @@ BESIDE = 0.05
 STILL = math.sqrt(0.5)
 #: What moves by less than a count in this time, s, might as well rest.
 CREEPS = 0.1
-#: A stop gives way by no larger share of the travel.
+#: A stop, or friction before it slides, gives way by no larger share of the travel.
 GIVES = 0.2
+#: Friction that gives by fewer counts slides at once, as far as an encoder tells.
+COUNTS = 3.0
 #: So much of the travel away from a stop the link does not touch it.
 APART = 0.02
 
@@ -128,6 +130,13 @@ def _comes(depth: NDArray[np.float64]) -> bool:
     return len(away) > 0 and bool(np.any(depth[away[0] :] > 0.0))
 
 
+def _gives(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+    """It slides on the way, and gives by more than the encoder rounds to before it does."""
+    counts = [c.recording.resolution for c in cases if not c.drive.speed]
+    least, most = COUNTS * max(counts, default=0.0), GIVES * float(np.ptp(_places(cases)))
+    return least < values["unknown_bend_give"] < most
+
+
 RULES: Mapping[str, Rule] = {
     "load_change": _load,
     "torque_ripple": _ripple,
@@ -141,6 +150,7 @@ RULES: Mapping[str, Rule] = {
     "encoder_eccentricity": _eccentricity,
     "position_dependent_friction": _varying,
     "end_stop": _stop,
+    "unknown_bend": _gives,
 }
 
 

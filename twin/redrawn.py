@@ -1,8 +1,10 @@
-"""Named torques that one curve of no known shape stands for better, or as well where they cancel each other.
+"""Named torques that something without a name stands for better, or one curve as well where they cancel each other.
 
 A spring that stiffens has no page. Over a short travel a spring describes most of it; about the place where gravity
 stands on its head a spring of its strength leaves k (x - sin x), nearly k x^3 / 6, and describes it with gravity. So
-what a model names over the position, and over the speed, is held against a curve over it.
+what a model names over the position, and over the speed, is held against a curve over it. Friction whose bristles
+bend before they slide goes with the way since the last reversal, which no curve over a state of motion follows; most
+of it is dry friction, which is held against it.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.effects.knots import spots, through
 from twin.likelihood import Case, Point
+from twin.plausibility import plausible
 
 FloatArray = NDArray[np.float64]
 
@@ -31,7 +34,7 @@ _SPOKEN = {"position": "position", "velocity": "speed"}
 
 @dataclass(frozen=True, eq=False)
 class Redrawn:
-    """Effects of the last model, the model with a curve instead, and why they are named no more."""
+    """Effects of the last model, the model with something without a name instead, and why they are named no more."""
 
     ids: tuple[str, ...]
     curve: Point
@@ -49,20 +52,24 @@ def _titles(ids: Sequence[str]) -> str:
     return titles[:1].upper() + titles[1:]
 
 
+def _bare(last: Point, ids: Sequence[str]) -> Point:
+    """The last model without these effects; all else as it is."""
+    structure = last.structure.without(*ids)
+    values = ready.completed(structure, last.values)
+    return replace(last, structure=structure, values=values, free=tuple(n for n in last.free if n in values))
+
+
 def _drawn(cases: Sequence[Case], last: Point, ids: Sequence[str], variable: str) -> Point:
     """The last model with a curve over the variable in the place of these effects: from what it lacks without them, or
     from what they do, where rattle hides that.
     """
-    structure = last.structure.without(*ids)
-    values = ready.completed(structure, last.values)
-    base = replace(last, structure=structure, values=values, free=tuple(n for n in last.free if n in values))
-    sketched = unknown.sketch(cases, base, unknown.Term(variable))
+    sketched = unknown.sketch(cases, _bare(last, ids), unknown.Term(variable))
     prefix = f"unknown_{variable}"
     at = spots(prefix, sketched.values)
     unit = through(prefix, at, np.ones(len(at)).tolist())
     sense = _torques([prefix], replace(sketched, values=unit), np.zeros(1), variable)[0]
     same = through(prefix, at, (sense * _torques(ids, last, np.array(at), variable).sum(axis=0)).tolist())
-    begun = replace(sketched, values={**ready.completed(sketched.structure, values), **same})
+    begun = replace(sketched, values={**ready.completed(sketched.structure, last.values), **same})
     return min((unknown.finish(cases, p) for p in (sketched, begun)), key=lambda p: p.deviance)
 
 
@@ -117,6 +124,25 @@ def outdone(cases: Sequence[Case], first: Structure, last: Point, variable: str)
     return Redrawn(ids, curve, says)
 
 
+def giving(cases: Sequence[Case], first: Structure, last: Point) -> Redrawn | None:
+    """Friction that gives before it slides, in the place of all dry friction that the last model names; None where
+    there is none, or the recording does not speak for it.
+    """
+    ids = tuple(e.id for e in last.structure.effects if e.slot == "grip" and e.id not in first)
+    if not ids:
+        return None
+    sketched = unknown.sketch(cases, _bare(last, ids), unknown.Term("bend"))
+    bent = unknown.relocated(cases, unknown.finish(cases, sketched))
+    if not (plausible(cases, bent, last) and explain.shows(cases, last, bent)):
+        return None
+    says = (
+        f"{_titles(ids)} would fit in part, but friction that gives before it slides, which is more than a name of "
+        f"the list says, fits better by {compare.earned(last, bent):.0f} units of deviance, where "
+        f"{compare.LEAST:.0f} would do."
+    )
+    return Redrawn(ids, bent, says)
+
+
 def _torques(ids: Sequence[str], point: Point, at: FloatArray, variable: str = "position") -> FloatArray:
     """The torque (effects, values) of each at each value of the variable that they follow from."""
     return np.array([equations.along(i, {variable: at}, point.values) for i in ids])
@@ -153,11 +179,12 @@ def one_curve(cases: Sequence[Case], first: Structure, last: Point) -> Redrawn |
 
 
 def redrawn(cases: Sequence[Case], first: Structure, last: Point) -> Redrawn | None:
-    """The last model with a curve in the place of what it names, where that is what the recording speaks for."""
+    """The last model with what has no name in the place of what it names, where the recording speaks for that."""
     variables = [v for v in SLOTS if not (cases[0].drive.speed and v == "position")]
     pieces = one_curve(cases, first, last) if "position" in variables else None
-    tried = (outdone(cases, first, last, v) for v in variables) if pieces is None else [pieces]
-    best = min((r for r in tried if r is not None), key=lambda r: r.curve.deviance, default=None)
+    curves = [outdone(cases, first, last, v) for v in variables] if pieces is None else [pieces]
+    found = [r for r in (*curves, giving(cases, first, last)) if r is not None]
+    best: Redrawn | None = min(found, key=lambda r: r.curve.deviance, default=None)
     if best is None:
         return None
     others = [i for i in best.curve.structure.named if i in CANDIDATES and i not in first]

@@ -285,10 +285,12 @@ class Term:
 #: What a term over a variable makes superfluous: it holds any straight line itself.
 _HELD = {"velocity": "viscous_friction", "drag": "viscous_friction", "input": "input_gain"}
 #: Kinds of term; each is the effect unknown_<kind>. A drag is viscous friction over time, a gain the motor's over its
-#: angle, a push a torque over the angle that differs with the command's sign.
-TERMS = ("position", "angle", "velocity", "input", "time", "drag", "gain", "push")
+#: angle, a push a torque over the angle that differs with the command's sign, a bend friction that gives by degrees.
+TERMS = ("position", "angle", "velocity", "input", "time", "drag", "gain", "push", "bend")
 #: Those of waves over the angle.
 _WAVES = ("angle", "gain", "push")
+#: Ways by which friction may give, rad, from which it is looked for.
+_GIVES = (0.003, 0.01, 0.03, 0.1)
 #: So many travels make a wave's turn where the axis does not turn: what it is at one end it need not be at the other.
 _ROOM = 1.5
 #: Knots of the finer line that shows where a curve bends.
@@ -397,9 +399,26 @@ def _where_judged(case: Case, missing: Missing) -> Missing:
     return replace(missing, torque=torque) if enough else missing
 
 
+def bent(cases: Sequence[Case], base: Point) -> Point:
+    """The base model and friction that gives, after a few steps from the likeliest of some ways."""
+    structure, names = base.structure.with_("unknown_bend"), ("unknown_bend_level", "unknown_bend_give")
+    mine, lever = ready.with_steps(cases, structure), max(c.recording.lever for c in cases)
+    trials = [
+        likelihood.climb(
+            mine, structure, {**base.values, names[0]: 0.0, names[1]: way * lever}, base.density,
+            (*base.free, names[0]), rounds=5, tolerance=1.0,
+        )
+        for way in _GIVES
+    ]  # fmt: skip
+    best = min(trials, key=lambda p: p.deviance)
+    return likelihood.climb(mine, structure, best.values, base.density, (*base.free, *names), rounds=5, tolerance=1.0)
+
+
 def sketch(cases: Sequence[Case], base: Point, term: Term) -> Point:
     """The base model and a term of no known shape, after a few steps at the base's noise density."""
     kind = term.kind
+    if kind == "bend":
+        return bent(cases, base)
     structure = base.structure.with_(f"unknown_{kind}")
     mine = ready.with_steps(cases, structure)
     parts = [_averages(_where_judged(c, locate.missing_torque(c, base.structure, base.values))) for c in mine]
@@ -427,9 +446,9 @@ def relocated(cases: Sequence[Case], point: Point) -> Point:
 
 #: What can draw the tables that are not drawn by the term over their first variable.
 _DRAWN = {
-    "direction": ("velocity",), "since reversal": ("position",), "acceleration": ("input",), "angle, push": ("push",),
-    "angle, input": ("gain",), "position, input": ("gain",), "input, velocity": ("input", "velocity"),
-    "velocity, time": ("velocity", "drag"), "time": ("time", "drag"),
+    "direction": ("velocity",), "since reversal": ("bend", "position"), "acceleration": ("input",),
+    "angle, push": ("push",), "angle, input": ("gain",), "position, input": ("gain",),
+    "input, velocity": ("input", "velocity"), "velocity, time": ("velocity", "drag"), "time": ("time", "drag"),
 }  # fmt: skip
 
 

@@ -32,6 +32,7 @@ from twin.effects import (
     tooth_compliance,
     torque_ripple,
     unknown_angle,
+    unknown_bend,
     unknown_drag,
     unknown_gain,
     unknown_input,
@@ -81,6 +82,7 @@ EFFECTS: Mapping[str, Effect] = {
         unknown_position,
         unknown_angle,
         unknown_velocity,
+        unknown_bend,
         unknown_drag,
         unknown_time,
     )

@@ -21,7 +21,7 @@ from twin.writers.python import numbering, resolve
 
 #: What stands behind the states: their rates, the modes, the margins whose zeros are events, and torques.
 BEHIND = (
-    "rate_position", "rate_velocity", "rate_gap", "rate_motor_velocity", "rate_lag", "rate_heat",
+    "rate_position", "rate_velocity", "rate_gap", "rate_motor_velocity", "rate_lag", "rate_heat", "rate_bend",
     "mode_motor", "mode_link", "margin_motor", "margin_link", "margin_upper", "margin_lower",
     "push_motor", "push_link", "forward_motor", "reverse_motor", "forward_link", "reverse_link",
 )  # fmt: skip
@@ -40,6 +40,7 @@ def continuous(structure: Structure) -> tuple[str, ...]:
         "motor_velocity": "backlash" in structure,
         "lag": "motor_lag" in structure,
         "heat": "thermal_fade" in structure,
+        "bend": "bristle" in structure.slots,
     }
     return tuple(name for name in STATES if name != "time" and present.get(name, True))
 
@@ -145,6 +146,12 @@ def rates(x, p, k, command):
     if has.shaft:
         torque = torque + turned * shaft(x.position + x.gap, p)
         pull = pull + (1.0 - turned) * shaft(x.position, p)
+    if has.bristle:
+        torque = torque + bristle(x.bend, p)
+        way = speed_m
+        if way < 0.0:
+            way = -way
+        x.rate_bend = (speed_m - way * x.bend) / p.unknown_bend_give
     forward = 0.0
     reverse = 0.0
     if has.grip:

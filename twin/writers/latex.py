@@ -16,7 +16,7 @@ from sympy.printing.latex import LatexPrinter
 
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
-from twin.equations import argument, trace
+from twin.equations import argument, reads, trace
 
 #: How a condition that stands for 1 or 0 begins.
 BRACKET = r"\left["
@@ -78,6 +78,8 @@ SYMBOLS: dict[str, str] = {
     "fade_emf": r"\rho_{h}",
     "fade_time": "T_{h}",
     "fade_reference": "u_{h}",
+    "unknown_bend_level": "F_{z}",
+    "unknown_bend_give": "d_{z}",
 }
 _ARGUMENTS = {
     "position": "@",
@@ -86,6 +88,7 @@ _ARGUMENTS = {
     "command": "u",
     "emf": r"u_{\omega}",
     "heat": "h",
+    "bend": "z",
     "moment": "S_{p}",
     "payload": "J_{p}",
     "direction": r"\sigma",
@@ -254,11 +257,17 @@ def _signed(text: str) -> str:
     return f"- {text[1:].lstrip()}" if text.startswith("-") else f"+ {text}"
 
 
+#: How what a law remembers comes about: what it is, its rate and what that is, times what makes both plain.
+_MEMORY = {
+    "heat": ("warming", r"T_{h}\,\dot{h}", r"\left(\frac{v_{h=0} - \rho_{h}\,u_{\omega}}{u_{h}}\right)^{2} - h"),
+    "bend": ("bending of bristles", r"d_{z}\,\dot{z}", r"\dot{@} - \left|\dot{@}\right|\,z"),
+}
 _LEFT = {
     "drive": ("the command that acts", "v"),
     "load": ("motion", r"\ddot{@}"),
     "shaft": ("motion", r"\ddot{@}"),
     "drag": ("motion", r"\ddot{@}"),
+    "bristle": ("motion", r"\ddot{@}"),
     "grip": ("size of the dry friction", "F"),
     "mass": ("inertia, in units of the axis' own", "J"),
     "sensor": ("what the sensor reads", r"@_{\mathrm{measured}}"),
@@ -269,8 +278,22 @@ def _left(slot: str, axis_unit: str) -> str:
     return _filled(_LEFT[slot][1], axis_unit)
 
 
+def _memory(effect_id: str, axis_unit: str) -> list[Equation]:
+    """How what the effect's law remembers comes about."""
+    effect = EFFECTS[effect_id]
+    kept = [_MEMORY[n] for n in _MEMORY if effect.law is not None and n in reads(effect_id)]
+    return [
+        Equation(what, _filled(rate, axis_unit), (Term(effect_id, f"+ {_filled(right, axis_unit)}"),))
+        for what, rate, right in kept
+    ]
+
+
 def equation(effect_id: str, axis_unit: str = "rad") -> str:
-    """What an effect adds to the axis, as one equation in LaTeX; dots stand for the rest."""
+    """What an effect adds to the axis, in LaTeX; dots stand for the rest."""
+    return r",\quad ".join([_added(effect_id, axis_unit), *(e.text for e in _memory(effect_id, axis_unit))])
+
+
+def _added(effect_id: str, axis_unit: str) -> str:
     effect = EFFECTS[effect_id]
     text = law(effect_id, axis_unit)
     if effect.slot == "structure":
@@ -314,11 +337,12 @@ def equations(structure: Structure, axis_unit: str = "rad") -> tuple[Equation, .
     x = coordinate(axis_unit)
     terms = {
         slot: [Term(e.id, _signed(law(e.id, axis_unit))) for e in structure.effects if e.slot == slot]
-        for slot in ("drag", "load", "shaft", "grip", "mass", "sensor")
+        for slot in ("drag", "bristle", "load", "shaft", "grip", "mass", "sensor")
     }
     acting, drive = _drive(structure, axis_unit)
     drives = "u_{e}" if "motor_lag" in structure else acting
-    motion = [Term("inertia", f"+ {symbol('input_gain')}\\,{drives}"), *terms["drag"], *terms["load"], *terms["shaft"]]
+    motion = [Term("inertia", f"+ {symbol('input_gain')}\\,{drives}"), *terms["drag"], *terms["bristle"]]
+    motion += [*terms["load"], *terms["shaft"]]
     if terms["grip"]:
         motion.append(Term(terms["grip"][0].effect, rf"- F\,\mathrm{{sgn}}\left(\dot{{{x}}}\right)"))
     left = rf"J\,\ddot{{{x}}}" if terms["mass"] else rf"\ddot{{{x}}}"
@@ -328,6 +352,7 @@ def equations(structure: Structure, axis_unit: str = "rad") -> tuple[Equation, .
     if terms["grip"]:
         found.append(Equation(_LEFT["grip"][0], "F", tuple(terms["grip"])))
     found += drive + _page_equations(structure, axis_unit, acting)
+    found += [kept for e in structure.effects for kept in _memory(e.id, axis_unit)]
     if terms["sensor"]:
         read = (Term("inertia", f"+ {x}"), *terms["sensor"])
         found.append(Equation(_LEFT["sensor"][0], _left("sensor", axis_unit), read))

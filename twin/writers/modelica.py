@@ -244,6 +244,13 @@ def write(model: Model) -> str:
             on_motor = _sum(model, "shaft", {"position": "(position + gap)"})
             declared.append(_declare("Real", driving, f"{x}/s^2", "torques on the motor over inertia"))
             equations.append(f"{driving} = torque + shaft_share*({on_motor});")
+    if slots["bristle"]:
+        speed = "motor_velocity" if two else "velocity"
+        declared.append(_declare("Real", "bend", "1", "how far friction is bent before it slides", more=_RESTING))
+        declared.append(_declare("Real", "pushing", f"{x}/s^2", "torques on the motor over inertia, that friction too"))
+        equations.append(f"unknown_bend_give*der(bend) = {speed} - abs({speed})*bend;")
+        equations.append(f"pushing = {driving} + {_sum(model, 'bristle', {})};")
+        driving = "pushing"
     equations.append(f"load = {on_link};")
     declared.append(_declare("Real", "mass", "1", "inertia, in units of that of the axis"))
     equations.append(f"mass = 1 + {_sum(model, 'mass', link)};")
@@ -294,7 +301,7 @@ def write(model: Model) -> str:
             f" + (1 - friction_share)*({drag_link}){gripped['link']};",
         ]
     else:
-        equations.append(f"mass*der(velocity) = torque + load + {drag_link}{gripped['link']};")
+        equations.append(f"mass*der(velocity) = {driving} + load + {drag_link}{gripped['link']};")
     equations += ["der(position) = velocity;", f"position_measured = position + {_sum(model, 'sensor', link)};"]
     ports = [
         _declare("input Real", model.input_name, u, "command"),
