@@ -10,7 +10,7 @@ import pytest
 from scipy.linalg import expm
 
 from twin import kernel, likelihood
-from twin.axis import Structure
+from twin.axis import STATES, Structure
 from twin.effects.catalogue import BASE
 from twin.kernel import Noise
 from twin.likelihood import Case
@@ -90,7 +90,8 @@ def test_slopes_of_the_filtered_reading_are_differences(silence: float) -> None:
     x, noise = kernel.start_state(*case.start, 0.0), likelihood.noise_for(case, likelihood.density_of(case, 0.05))
     noise = replace(noise, silence=silence)
     names = ("input_gain", "dead_band_forward")
-    run = kernel.predict_with_slopes(case.drive, kernel.vector(STRUCTURE, VALUES), x, np.zeros((7, 2)), names, noise)
+    none = np.zeros((len(STATES), len(names)))
+    run = kernel.predict_with_slopes(case.drive, kernel.vector(STRUCTURE, VALUES), x, none, names, noise)
     for j, name in enumerate(names):
         h = 1e-7 * VALUES[name]
         up, down = (

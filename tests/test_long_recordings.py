@@ -10,7 +10,7 @@ import pytest
 from axis_runs import run, steps
 
 from twin import kernel, likelihood, ready
-from twin.axis import Structure
+from twin.axis import STATES, Structure
 from twin.likelihood import Case
 from twin.recording import Loop, Recording
 
@@ -42,7 +42,7 @@ def test_slopes_in_pieces_are_those_of_the_whole(most: int, closed: bool) -> Non
     case = likelihood.prepare(recording, STRUCTURE, closed=closed)
     p = kernel.vector(STRUCTURE, VALUES)
     noise = likelihood.noise_for(case, likelihood.density_of(case, 0.1))
-    given = (case.drive, p, kernel.start_state(*case.start, 0.0), np.zeros((7, len(FREE))), FREE, noise)
+    given = (case.drive, p, kernel.start_state(*case.start, 0.0), np.zeros((len(STATES), len(FREE))), FREE, noise)
     whole = kernel.predict_with_slopes(*given)
     parts = list(kernel.in_pieces(*given, most))
     assert [at.start for at, _ in parts] == list(range(0, 6000, most))

@@ -125,7 +125,7 @@ def test_every_verdict_and_kind_of_recording(verdict, several):
 def test_a_curve_without_a_name_is_said_and_shown():
     drawn = replace(example("unexplained"), after=model_of("unknown_gain"), depends_on=("position", "input"))
     curve = phrases.title("unknown_gain")
-    said = f"it goes with position and the command. A curve is fitted in its place: {curve}."
+    said = f"it goes with position and the command. Fitted in its place: {curve}."
     assert phrases.headline(drawn).endswith(said)
     page = Page(report.html(story(diagnosis=drawn)))
     assert "improved model" in page.text and curve in page.text
