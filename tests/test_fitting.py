@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from twin import extend, fitting, ready, recording, two_stage
+from twin import fitting, ready, recording, two_stage
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.effects.end_stop import NOWHERE
@@ -61,4 +61,4 @@ def test_where_the_inertia_is_known_torques_are_told(unit: str, known: str, says
     made = Model(structure, values, axis_unit=unit, known=recording.told_of(still))
     assert f"({made.torque('coulomb_friction')})" == says
     assert made.torque("viscous_friction") == "" and replace(made, known={}).torque("coulomb_friction") == ""
-    assert says in extend.says("coulomb_friction", made)
+    assert says in made.says("coulomb_friction")

@@ -129,6 +129,9 @@ def test_a_curve_without_a_name_is_said_and_shown():
     assert phrases.headline(drawn).endswith(said)
     page = Page(report.html(story(diagnosis=drawn)))
     assert "improved model" in page.text and curve in page.text
+    (sentence,) = phrases.nameless(drawn)
+    assert sentence.startswith("What the motor makes of a command") and sentence in page.text
+    assert phrases.sentences(drawn)[0] == f"{phrases.headline(drawn)} {sentence}"
     assert 'class="station found"' in report._where(story(diagnosis=drawn)) and "is marked" in page.text
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin import compare, explain, extend, identify, kernel, likelihood, meetings, ready, screening, search, valleys
+from twin import compare, explain, identify, kernel, likelihood, meetings, ready, screening, search, valleys
 from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES
 from twin.likelihood import Point
@@ -263,7 +263,7 @@ def test_a_stop_that_nothing_met_is_nowhere(lower: float) -> None:
     assert y.max() > 0.3 and (lower == -1e3 or y.min() < lower)
     assert found.values["stop_upper"] == pytest.approx(0.3, abs=2e-3)
     assert found.values["stop_lower"] == pytest.approx(lower, abs=2e-3)
-    assert extend.says("end_stop", identify.to_model(cases, found, [made], {})).count("none met") == (lower == -1e3)
+    assert identify.to_model(cases, found, [made], {}).says("end_stop").count("none met") == (lower == -1e3)
 
 
 def test_friction_that_acts_only_where_the_way_ends_is_a_stop() -> None:

@@ -29,7 +29,6 @@ from twin import (
 )
 from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN
-from twin.effects.end_stop import NOWHERE
 from twin.errors import BadInput
 from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
 from twin.hold_out import Part
@@ -65,20 +64,6 @@ def _fitness(chosen: Sequence[Trace], which: str, white: float) -> Fitness:
 def _white(cases: Sequence[Case], point: Point) -> float:
     parts = [likelihood.innovations(c, point.structure, point.values, point.density) for c in cases]
     return compare.whiteness(np.concatenate([i.error / np.sqrt(i.variance * point.scale) for i in parts]))
-
-
-def says(effect: str, model: Model) -> str:
-    """The sentence of an effect with the model's numbers in it; a stop that stands nowhere was not met."""
-    shown = {}
-    for i in (effect, *EFFECTS[effect].includes):
-        for p in model.structure.acting(EFFECTS[i]):
-            value, std = model.values[p.name], model.std(p.name)
-            unit = model.unit(p.name)
-            spread = f" ± {std:.2g}" if math.isfinite(std) else ""
-            torque = model.torque(p.name)
-            number = f"{value:.3g}{spread}{'' if unit == '1' else ' ' + unit}{torque and f' ({torque})'}"
-            shown[p.name] = "none met" if value == NOWHERE.get(p.name) else number
-    return EFFECTS[effect].sentence.format(**shown)
 
 
 def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, float], ...]]:
@@ -126,7 +111,7 @@ def _findings(found: Search, model: Model, first: Structure) -> tuple[Finding, .
                 effect,
                 page.station,
                 named[effect],
-                says(effect, model),
+                model.says(effect),
                 latex.equation(effect, model.axis_unit),
                 parameters,
             )

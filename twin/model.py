@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
+from twin.effects.end_stop import NOWHERE
 from twin.errors import BadInput
 from twin.quantities import Parameter
 from twin.tomlfile import check_keys, finite, load, number, parse, quoted, section, size, texts
@@ -79,6 +80,17 @@ class Model:
         if not inertia or self.unit(name) != f"{self.axis_unit}/s^2":
             return ""
         return f"{inertia * self.values[name]:.3g} {'N' if self.axis_unit == 'm' else 'N m'}"
+
+    def says(self, effect: str) -> str:
+        """The sentence of an effect with the model's numbers in it; a stop that stands nowhere was not met."""
+        shown = {}
+        for i in (effect, *EFFECTS[effect].includes):
+            for p in self.structure.acting(EFFECTS[i]):
+                value, std, unit, torque = self.values[p.name], self.std(p.name), self.unit(p.name), self.torque(p.name)
+                spread = f" ± {std:.2g}" if math.isfinite(std) else ""
+                text = f"{value:.3g}{spread}{'' if unit == '1' else ' ' + unit}{torque and f' ({torque})'}"
+                shown[p.name] = "none met" if value == NOWHERE.get(p.name) else text
+        return EFFECTS[effect].sentence.format(**shown)
 
     def with_values(self, values: Mapping[str, float]) -> Model:
         return replace(self, values={**self.values, **values})

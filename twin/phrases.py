@@ -120,6 +120,11 @@ def headline(diagnosis: Diagnosis) -> str:
     return f"Something is missing that none of the known effects describes{tail}{curve}."
 
 
+def nameless(diagnosis: Diagnosis) -> list[str]:
+    """What is fitted in the place of what has no name, with its numbers."""
+    return [diagnosis.after.says(i) for i in diagnosis.after.structure.ids if i in UNKNOWN]
+
+
 def _or_else(effect: str, diagnosis: Diagnosis) -> str:
     """An effect and whatever could as well stand in its place."""
     rivals = [title(u.ids[1]) for u in diagnosis.undecided if u.ids[0] == effect]
@@ -157,8 +162,8 @@ def fit_sentence(diagnosis: Diagnosis) -> str:
 
 def sentences(diagnosis: Diagnosis, tracking: Tracking | None = None) -> tuple[str, ...]:
     """What somebody who reads only three sentences should know."""
-    found = " ".join(f.says for f in diagnosis.findings)
-    said = [" ".join(filter(None, [headline(diagnosis), found])), fit_sentence(diagnosis)]
+    found = [*(f.says for f in diagnosis.findings), *nameless(diagnosis)]
+    said = [" ".join([headline(diagnosis), *found]), fit_sentence(diagnosis)]
     if tracking is not None:
         said.append(f"The controller made from the model was tried against the FMU: {_lower(tracking.says[0])}")
     return tuple(said)

@@ -180,6 +180,7 @@ def _found(story: Story) -> str:
     parts = [_finding(f, d.after) for f in d.findings]
     if not d.findings:
         parts.append(_said(_nothing_found(d)))
+    parts += map(_said, phrases.nameless(d))
     equations = latex.equations(d.after.structure, d.after.axis_unit)
     parts.append(_tag("h3", "The whole model" + (", what is new marked" if new else "")))
     above = ""
