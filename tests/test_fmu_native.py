@@ -81,7 +81,7 @@ class Host:
         self.slave.doStep(currentCommunicationPoint=time, communicationStepSize=length)
 
     def replay(self, u: np.ndarray, held: int = 1) -> np.ndarray:
-        """What every name reads at the communication points, (N, 7) at every `held`-th sample."""
+        """What every name reads at the communication points, (N, names) at every `held`-th sample."""
         rows = [self.get(*NAMES)]
         for i in range(0, len(u) - 1, held):
             self.set(self.command, u[i])

@@ -395,7 +395,7 @@ def pieces(
 
 
 def states(case: Case, structure: Structure, values: Mapping[str, float], density: float) -> kernel.Prediction:
-    """The case run through the predictor, with the state (N, 7) at each stamp."""
+    """The case run through the predictor, with the state (N, states) at each stamp."""
     p = kernel.vector(structure, dict(values))
     x, _ = _start(case, p, ())
     return kernel.predict(case.drive, p, x, noise_for(case, density), keep_states=True)
