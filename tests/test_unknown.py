@@ -690,3 +690,8 @@ def test_friction_that_gives_by_a_count_is_none():
     for give, right in ((2.0 * COUNT, False), (4.0 * COUNT, True), (0.5 * float(np.ptp(case.places)), False)):
         values = {**point.values, "unknown_bend_level": 1.0, "unknown_bend_give": give}
         assert plausible([case], replace(point, structure=structure, values=values)) is right
+    # A finer encoder sees what every dry contact gives by.
+    fine = replace(case, recording=replace(case.recording, resolution=0.01 * COUNT))
+    for give, right in ((5e-4, False), (2e-3, True)):
+        values = {**point.values, "unknown_bend_level": 1.0, "unknown_bend_give": give}
+        assert plausible([fine], replace(point, structure=structure, values=values)) is right

@@ -37,8 +37,9 @@ STILL = math.sqrt(0.5)
 CREEPS = 0.1
 #: A stop, or friction before it slides, gives way by no larger share of the travel.
 GIVES = 0.2
-#: Friction that gives by fewer counts slides at once, as far as an encoder tells.
-COUNTS = 3.0
+#: Friction that gives by fewer counts slides at once, as far as an encoder tells; and every dry contact gives by
+#: hundredths of a millimetre, which is so much of a turn, rad, and dry friction still.
+COUNTS, YIELDS = 3.0, 1e-3
 #: So much of the travel away from a stop the link does not touch it.
 APART = 0.02
 
@@ -131,10 +132,10 @@ def _comes(depth: NDArray[np.float64]) -> bool:
 
 
 def _gives(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
-    """It slides on the way, and gives by more than the encoder rounds to before it does."""
-    counts = [c.recording.resolution for c in cases if not c.drive.speed]
-    least, most = COUNTS * max(counts, default=0.0), GIVES * float(np.ptp(_places(cases)))
-    return least < values["unknown_bend_give"] < most
+    """It slides on the way, and gives by more than the encoder rounds to, and than any dry contact, before it does."""
+    seen = [YIELDS * c.recording.lever for c in cases]
+    seen += [COUNTS * c.recording.resolution for c in cases if not c.drive.speed]
+    return max(seen) < values["unknown_bend_give"] < GIVES * float(np.ptp(_places(cases)))
 
 
 RULES: Mapping[str, Rule] = {
