@@ -302,8 +302,8 @@ def random_cases(structure: Structure, count: int, seed: int):
             x[3], x[2] = x[1], half
         if case % 3 == 0:
             x[1] = x[3] = 0.0
-        x[5:] = np.abs(x[5:])
-        x[6] = np.tanh(x[6])
+        x[[5, 7]] = np.abs(x[[5, 7]])  # heat and time
+        x[6] = np.tanh(x[6])  # bend, either way
         yield p, x, rng.uniform(0.0, 0.1, 2), float(rng.uniform(-50.0, 50.0))
 
 
