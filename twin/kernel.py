@@ -53,7 +53,7 @@ _LOOPS = (
 _HEAD = """import numpy as np
 from math import cos, exp, log, sin, sqrt, tanh
 from numba import njit
-from twin.lanes import numbers, put, row, zero"""
+from twin.lanes import numbers, put, row, settled, zero"""
 
 #: What the commonest structures consist of: the base and any of these. They have a stepper of their own, from the
 #: same text, that does not ask for anything else.

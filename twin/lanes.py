@@ -26,6 +26,9 @@ PRECISION = np.float32
 _NUMBER = ir.FloatType()
 _VECTOR = ir.VectorType(_NUMBER, WIDTH)
 _FLAGS = ("nnan", "ninf", "nsz", "contract", "reassoc")
+#: What is smaller is nothing: processors take single numbers near 1e-40 many times as long, and so would the products
+#: of this with what is small.
+FADED = 1e-25
 
 
 class LanesType(types.Type):
@@ -102,6 +105,18 @@ def numbers(typingctx, array):
 def zero(typingctx):
     """`WIDTH` zeros."""
     return LANES(), lambda context, builder, sig, args: ir.Constant(_VECTOR, [0.0] * WIDTH)
+
+
+@intrinsic
+def settled(typingctx, value):
+    """The value, with zero for what is smaller than `FADED`."""
+
+    def lower(context, builder, sig, args):
+        least, most = (ir.Constant(_VECTOR, [limit] * WIDTH) for limit in (-FADED, FADED))
+        small = builder.and_(builder.fcmp_ordered(">", args[0], least), builder.fcmp_ordered("<", args[0], most))
+        return builder.select(small, ir.Constant(_VECTOR, [0.0] * WIDTH), args[0])
+
+    return LANES(LANES), lower
 
 
 def _place(context, builder, kind, array, row):

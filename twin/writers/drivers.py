@@ -77,17 +77,18 @@ def correcting(c, speed, seen, gain):
     gain[2] = c[6 + 2 * first]
     gain[3] = c[7 + 2 * first]
     spread = gain[first] + 1.0
+    share = 1.0 / spread
     if seen:
         for i in range(2):
-            c[3 * i] -= gain[2 * i] * gain[2 * i] / spread
-            c[3 * i + 1] -= gain[2 * i] * gain[2 * i + 1] / spread
-            c[3 * i + 2] -= gain[2 * i + 1] * gain[2 * i + 1] / spread
-        c[6] -= gain[0] * gain[2] / spread
-        c[7] -= gain[0] * gain[3] / spread
-        c[8] -= gain[1] * gain[2] / spread
-        c[9] -= gain[1] * gain[3] / spread
+            c[3 * i] -= gain[2 * i] * gain[2 * i] * share
+            c[3 * i + 1] -= gain[2 * i] * gain[2 * i + 1] * share
+            c[3 * i + 2] -= gain[2 * i + 1] * gain[2 * i + 1] * share
+        c[6] -= gain[0] * gain[2] * share
+        c[7] -= gain[0] * gain[3] * share
+        c[8] -= gain[1] * gain[2] * share
+        c[9] -= gain[1] * gain[3] * share
     for i in range(4):
-        gain[i] = gain[i] / spread
+        gain[i] = gain[i] * share
     return spread
 
 
@@ -199,6 +200,7 @@ def predict_t(
     x = numbers(x)
     p = numbers(p)
     k = numbers(k)
+    states = len(xd)
     xd = numbers(xd)
     pd = numbers(pd)
     density = noise[0]
@@ -312,4 +314,7 @@ def predict_t(
                     step_t(acting, d_acting, span, d_span, x, xd, p, pd, k)
             now = until
             d_now = d_until
+        # At rest the filter forgets what the parameters have done before, by a factor with each reading.
+        for s in range(states):
+            put(xd, s, settled(row(xd, s)))
     return 0.0
