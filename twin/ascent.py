@@ -42,6 +42,8 @@ _RANGES = {
     "tooth_frequency": (50.0, 250.0), "tooth_damping": (0.08, 0.7),
 }  # fmt: skip
 _LOOSE, _CROWD, _GENERATIONS, _APART, _CHOSEN = 0.01, 32, 9, 1.1, 3
+#: What is looked for from afar: no slope leads to it.
+SOUGHT = tuple(_RANGES)
 #: A unit of deviance is worth so little where the motor rattles, or physics is missing.
 _ROUGH = 1.3
 #: The shortest memory of the filter from which on it is lengthened, s, how often it is at most, and up to where

@@ -162,11 +162,13 @@ def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover, 
     # What the first model lacked may have led its gap and teeth far astray; what is far behind the names stays there.
     near = [p for p in fits if compare.earned(first, p) > 0.0 and compare.ahead(last, p) < compare.LEAST]
     promising = [p for p in near if plausible(found.cases, p, first)]
-    moved = [unknown.relocated(found.cases, p) for p in promising]
-    if len(moved) < 2:
-        return moved[0] if moved else first
-    # A curve over time follows whatever happened once: what comes again is the better one.
-    return min(moved, key=lambda p: foretold.chance(found.cases, first, p))
+    if not promising:
+        return first
+    # A curve over time follows whatever happened once: of several, what comes again is the better one.
+    chosen = promising[0]
+    if len(promising) > 1:
+        chosen = min(promising, key=lambda p: foretold.chance(found.cases, first, p))
+    return unknown.relocated(found.cases, chosen)
 
 
 def _learned(found: Search, nameless: Point) -> Search:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
-from twin import likelihood, locate, ready, valleys
+from twin import ascent, likelihood, locate, ready, valleys
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.effects.knots import KNOTS, names, slopes, spots, through
@@ -429,8 +429,12 @@ def sketch(cases: Sequence[Case], base: Point, term: Term) -> Point:
     values = {**base.values, **start}
     if kind not in _WAVES:
         values = _bridged(values, f"unknown_{kind}", free)
-    rough = likelihood.climb(mine, structure, values, base.density, free, rounds=5, tolerance=1.0)
-    return rough if kind in _WAVES else replace(rough, values=_bridged(rough.values, f"unknown_{kind}", free))
+    # Gap and teeth stay where they are until it is finished: a run has room for the slopes of all others.
+    few = tuple(n for n in free if n not in ascent.SOUGHT)
+    values = likelihood.climb(mine, structure, values, base.density, few, rounds=5, tolerance=1.0).values
+    if kind not in _WAVES:
+        values = _bridged(values, f"unknown_{kind}", free)
+    return likelihood.evaluate(mine, structure, values, base.density, free)
 
 
 def finish(cases: Sequence[Case], sketched: Point) -> Point:
