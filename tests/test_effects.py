@@ -26,6 +26,7 @@ from twin.axis import EVERYTHING, KNOWN, STATES, Structure
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN
 from twin.effects.effect import SLOTS, Effect
 from twin.equations import trace
+from twin.lanes import FADED
 from twin.writers import c, python
 
 every_effect = pytest.mark.parametrize("effect", EFFECTS.values(), ids=lambda e: e.id)
@@ -382,6 +383,7 @@ def interpreted() -> SimpleNamespace:
     lanes = {
         "numbers": lambda array: array,
         "row": lambda array, i: array.reshape(-1, kernel.WIDTH)[i].copy(),
+        "settled": lambda value: np.where(np.abs(value) < FADED, 0.0, value),
         "zero": lambda: np.zeros(kernel.WIDTH),
     }
 
@@ -389,7 +391,7 @@ def interpreted() -> SimpleNamespace:
         array.reshape(-1, kernel.WIDTH)[i] = value
 
     space = {"njit": plain, "put": put, **lanes}
-    _, text = kernel.kernel_text(EVERYTHING).split("from twin.lanes import numbers, put, row, zero")
+    _, text = kernel.kernel_text(EVERYTHING).split("from twin.lanes import numbers, put, row, settled, zero")
     exec("import numpy as np\nfrom math import cos, exp, log, sin, sqrt, tanh\n" + text, space)
     return SimpleNamespace(**space)
 

@@ -70,7 +70,8 @@ class Hypothesis:
 
 def _climb(cases: Sequence[Case], base: Point, entry: Entry) -> Hypothesis:
     mine = ready.with_steps(cases, entry.structure)
-    found = likelihood.climb(mine, entry.structure, entry.values, base.density, entry.free, rounds=6, tolerance=1.0)
+    begun = screening.likeliest(mine, entry.structure, entry.places, base.density)
+    found = likelihood.climb(mine, entry.structure, begun, base.density, entry.free, rounds=6, tolerance=1.0)
     return Hypothesis((entry.effect,), found)
 
 
@@ -274,8 +275,8 @@ def compete(
         keep(list(pool.map(lambda h: Hypothesis(h.added, valleys.deepen(cases, h.point, held)), close)))
         if unit >= WHITE:
             # Where the likelihood is rough the one that ended in a better valley would win, whatever its effect.
-            rough = [h for h in leading(EACH) if h.deviance < bar]
-            keep(list(pool.map(lambda h: Hypothesis(h.added, valleys.relocated(cases, h.point, held)), rough)))
+            rough = [h for h in leading(1) if h.deviance < bar]
+            keep([Hypothesis(h.added, valleys.relocated(cases, h.point, held)) for h in rough])
             pairs = itertools.permutations([h for h in leading(EACH) if h.deviance < bar], 2)
             keep(list(pool.map(lambda pair: _in_place_of(cases, pair[0], pair[1], structure, held), pairs)))
     return _judged(cases, before, list(best.values()), held)

@@ -257,6 +257,12 @@ def _score(base: Point, point: Point, news: Sequence[str]) -> tuple[FloatArray, 
     return step, max(float(g @ ahead - g[:old] @ without), 0.0)
 
 
+def _placed(base: Point, structure: Structure, effect: str, trial: Mapping[str, float]) -> dict[str, float]:
+    """The base's values, and the effect's as in the trial, or at which it does nothing."""
+    unmoved = {k: v for k, v in neutral(effect).items() if k not in base.values}
+    return ready.completed(structure, {**base.values, **unmoved, **trial})
+
+
 def _nested_starts(
     cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]]
 ) -> list[Start]:
@@ -266,10 +272,9 @@ def _nested_starts(
     structure = extended(base.structure, effect)
     others = [EFFECTS[i].screen for i in EFFECTS[effect].includes if i not in base.structure]
     companions = [s.gain for s in others if s is not None]
-    unmoved = {k: v for k, v in neutral(effect).items() if k not in base.values}
     starts = []
     for trial in trials:
-        values = ready.completed(structure, {**base.values, **unmoved, **trial})
+        values = _placed(base, structure, effect, trial)
         phased = () if screen.phase is None else (screen.phase,)
         if phased and screen.gain not in trial:
             # Of no size at all it has no phase either; the smallest shows what both lead to.
@@ -305,8 +310,7 @@ def _direct_start(
 ) -> tuple[float, dict[str, float]]:
     """What a candidate that is tried as it is promises at best, the rest of the model's regain too, and where."""
     structure = extended(base.structure, effect)
-    unmoved = {k: v for k, v in neutral(effect).items() if k not in base.values}
-    places = [ready.completed(structure, {**base.values, **unmoved, **_inside(t)}) for t in trials]
+    places = [_placed(base, structure, effect, _inside(t)) for t in trials]
     # A valley may be narrow, and its walls are what a place beside it shows: the likeliest walk a little before they
     # are judged, and the likeliest of every choice that no walk changes.
     places.sort(key=lambda v: likelihood.evaluate(cases, structure, v, base.density).deviance)
@@ -322,12 +326,12 @@ def _direct_start(
 
 @dataclass(frozen=True)
 class Entry:
-    """A candidate at the start line."""
+    """A candidate at the start line, and the places from the likeliest of which a climb begins."""
 
     effect: str
     structure: Structure
     free: tuple[str, ...]
-    values: dict[str, float]
+    places: tuple[dict[str, float], ...]
     promise: float
 
 
@@ -341,6 +345,15 @@ def extended(structure: Structure, effect: str) -> Structure:
     return longer.without("tooth_compliance") if effect == "joint_elasticity" else longer
 
 
+def likeliest(
+    cases: Sequence[Case], structure: Structure, places: Sequence[dict[str, float]], density: float
+) -> dict[str, float]:
+    """The likeliest of some values of the structure."""
+    if len(places) == 1:
+        return places[0]
+    return min(places, key=lambda v: likelihood.evaluate(cases, structure, v, density).deviance)
+
+
 def enter(cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]]) -> Entry:
     """The candidate where it promises most beside the base."""
     structure = extended(base.structure, effect)
@@ -350,20 +363,20 @@ def enter(cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapp
     trials = [{n: v for n, v in row.items() if n not in held} for row in trials]
     if effect in _DIRECT:
         promise, values = _direct_start(mine, base, effect, trials, free)
-        return Entry(effect, structure, free, values, promise)
+        return Entry(effect, structure, free, (values,), promise)
     screen = EFFECTS[effect].screen
     assert screen is not None
-    begun = []
-    # From elsewhere is where no step from nothing leads: it must be worth more than the largest of many such looks.
-    for kind in ([t for t in trials if screen.gain not in t], [t for t in trials if screen.gain in t]):
-        if kind:
-            best = max(_nested_starts(mine, base, effect, kind), key=lambda s: s.promise)
-            places = [likelihood.evaluate(mine, structure, best.at(share), base.density) for share in _SHARES]
-            begun.append((best.promise, min(places, key=lambda p: p.deviance).values))
-    promise, values = begun[0]
+    near, far = [t for t in trials if screen.gain not in t], [t for t in trials if screen.gain in t]
+    placed = [_placed(base, structure, effect, t) for t in far]
+    if far:
+        far = [far[placed.index(likeliest(mine, structure, placed, base.density))]]
+    begun = [max(_nested_starts(mine, base, effect, k), key=lambda s: s.promise) for k in (near, far) if k]
+    promise, places = begun[0].promise, tuple(begun[0].at(share) for share in _SHARES)
     if len(begun) > 1:
-        nothing, elsewhere = (likelihood.climb(mine, structure, v, base.density, free, _STEPS, 1.0) for _, v in begun)
-        promise, values = max(promise, base.deviance - nothing.deviance), nothing.values
+        # From elsewhere is where no step from nothing leads: it must be worth more than the largest of many such looks.
+        starts = [likeliest(mine, structure, [s.at(share) for share in _SHARES], base.density) for s in begun]
+        nothing, elsewhere = (likelihood.climb(mine, structure, v, base.density, free, _STEPS, 1.0) for v in starts)
+        promise, places = max(promise, base.deviance - nothing.deviance), (nothing.values,)
         if nothing.deviance - elsewhere.deviance > compare.LEAST * compare.worth([nothing, elsewhere]):
-            promise, values = max(promise, base.deviance - elsewhere.deviance), elsewhere.values
-    return Entry(effect, structure, free, values, promise)
+            promise, places = max(promise, base.deviance - elsewhere.deviance), (elsewhere.values,)
+    return Entry(effect, structure, free, places, promise)

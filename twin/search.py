@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 from twin import ascent, compare, explain, likelihood, meetings, ready, screening, valleys
@@ -78,7 +79,8 @@ def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
 def _fits(
     cases: Sequence[Case], point: Point, held: Mapping[str, float], structures: Sequence[Structure]
 ) -> list[Point]:
-    return [valleys.settle(cases, s, point.values, held, point.density) for s in structures]
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(lambda s: valleys.settle(cases, s, point.values, held, point.density), structures))
 
 
 def _fair(cases: Sequence[Case], point: Point, lesser: Sequence[Point], begun: Point) -> Point:
@@ -267,7 +269,9 @@ def _swapped(
                 starts = ({**own.values, **last.values}, {**last.values, **own.values})
                 # What the effect had brought along may be there without it.
                 others = dict.fromkeys(last.structure.without(effect, *i).with_(*h.added) for i in ((), brought))
-                tried = [valleys.settle(cases, o, v, held, last.density) for o in others for v in starts]
+                with ThreadPoolExecutor(2) as pool:
+                    begun = itertools.product(others, starts)
+                    tried = list(pool.map(lambda b: valleys.settle(cases, b[0], b[1], held, last.density), begun))
                 point = valleys.deepen(cases, min(tried, key=lambda p: behind(p, last)), held)
                 # What does not come close needs no test.
                 far = compare.ahead(last, point) > UNSURE
