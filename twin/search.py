@@ -255,7 +255,8 @@ def _swapped(
     cases: Sequence[Case], last: Point, first: Structure, lesser: Sequence[Point], rounds: Sequence[Round],
     held: Mapping[str, float],
 ) -> list[Swap]:  # fmt: skip
-    """The last model with each effect exchanged for every rival that had come close to it and shows in its place.
+    """The last model with each effect exchanged for every rival that had come close to it; one that would do better has
+    to show in its place.
 
     `lesser` are smaller models that the last one is held against, down to the first.
     """
@@ -273,10 +274,10 @@ def _swapped(
                     begun = itertools.product(others, starts)
                     tried = list(pool.map(lambda b: valleys.settle(cases, b[0], b[1], held, last.density), begun))
                 point = valleys.deepen(cases, min(tried, key=lambda p: behind(p, last)), held)
-                # What does not come close needs no test.
-                far = compare.ahead(last, point) > UNSURE
+                # What stays behind takes no place, and needs no test: that something is there is known from the effect.
                 without = min((q for q in lesser if effect not in q.structure), key=lambda q: q.deviance)
-                if plausible(cases, point, last) and (far or explain.shows(cases, without, point)):
+                stays = behind(point, last) >= 0.0
+                if plausible(cases, point, last) and (stays or explain.shows(cases, without, point)):
                     out.append(Swap(effect, h.added[0], point))
     return out
 

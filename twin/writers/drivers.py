@@ -77,18 +77,17 @@ def correcting(c, speed, seen, gain):
     gain[2] = c[6 + 2 * first]
     gain[3] = c[7 + 2 * first]
     spread = gain[first] + 1.0
-    share = 1.0 / spread
     if seen:
         for i in range(2):
-            c[3 * i] -= gain[2 * i] * gain[2 * i] * share
-            c[3 * i + 1] -= gain[2 * i] * gain[2 * i + 1] * share
-            c[3 * i + 2] -= gain[2 * i + 1] * gain[2 * i + 1] * share
-        c[6] -= gain[0] * gain[2] * share
-        c[7] -= gain[0] * gain[3] * share
-        c[8] -= gain[1] * gain[2] * share
-        c[9] -= gain[1] * gain[3] * share
+            c[3 * i] -= gain[2 * i] * gain[2 * i] / spread
+            c[3 * i + 1] -= gain[2 * i] * gain[2 * i + 1] / spread
+            c[3 * i + 2] -= gain[2 * i + 1] * gain[2 * i + 1] / spread
+        c[6] -= gain[0] * gain[2] / spread
+        c[7] -= gain[0] * gain[3] / spread
+        c[8] -= gain[1] * gain[2] / spread
+        c[9] -= gain[1] * gain[3] / spread
     for i in range(4):
-        gain[i] = gain[i] * share
+        gain[i] = gain[i] / spread
     return spread
 
 
