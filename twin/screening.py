@@ -366,17 +366,17 @@ def enter(cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapp
         return Entry(effect, structure, free, (values,), promise)
     screen = EFFECTS[effect].screen
     assert screen is not None
-    near, far = [t for t in trials if screen.gain not in t], [t for t in trials if screen.gain in t]
-    placed = [_placed(base, structure, effect, t) for t in far]
-    if far:
-        far = [far[placed.index(likeliest(mine, structure, placed, base.density))]]
-    begun = [max(_nested_starts(mine, base, effect, k), key=lambda s: s.promise) for k in (near, far) if k]
+    nested = [t for t in trials if screen.gain not in t]
+    elsewhere = [t for t in trials if screen.gain in t]
+    placed = [_placed(base, structure, effect, t) for t in elsewhere]
+    kinds = [nested] + ([[likeliest(mine, structure, placed, base.density)]] if placed else [])
+    begun = [max(_nested_starts(mine, base, effect, k), key=lambda s: s.promise) for k in kinds]
     promise, places = begun[0].promise, tuple(begun[0].at(share) for share in _SHARES)
     if len(begun) > 1:
         # From elsewhere is where no step from nothing leads: it must be worth more than the largest of many such looks.
         starts = [likeliest(mine, structure, [s.at(share) for share in _SHARES], base.density) for s in begun]
-        nothing, elsewhere = (likelihood.climb(mine, structure, v, base.density, free, _STEPS, 1.0) for v in starts)
-        promise, places = max(promise, base.deviance - nothing.deviance), (nothing.values,)
-        if nothing.deviance - elsewhere.deviance > compare.LEAST * compare.worth([nothing, elsewhere]):
-            promise, places = max(promise, base.deviance - elsewhere.deviance), (elsewhere.values,)
+        one, other = (likelihood.climb(mine, structure, v, base.density, free, _STEPS, 1.0) for v in starts)
+        promise, places = max(promise, base.deviance - one.deviance), (one.values,)
+        if one.deviance - other.deviance > compare.LEAST * compare.worth([one, other]):
+            promise, places = max(promise, base.deviance - other.deviance), (other.values,)
     return Entry(effect, structure, free, places, promise)
