@@ -670,13 +670,12 @@ def step(x, p, k, command, h):
     Two bodies meet a handful of events in a step, and the hardest stop asks for some hundred pieces of it: the loop's
     bound is never met in motion.
     """
-    span = piece(x, p, k, command, h)
-    remaining = h - span
+    remaining = h
     for _ in range(1024):
-        if remaining <= 0.0:
-            break
         span = piece(x, p, k, command, remaining)
         remaining = remaining - span
+        if remaining <= 0.0:
+            break
     if faded(x.velocity):
         x.velocity = 0.0
     if faded(x.motor_velocity):
