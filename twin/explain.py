@@ -196,10 +196,9 @@ def _instead(
     """The structure with the effect, from where the winner stands."""
     longer, point = ready.with_teeth(structure.with_(effect)), winner.point
     mine = ready.with_steps(cases, longer)
-    known = ready.completed(longer, point.values)
-    own = {n: v for n, v in screening.neutral(effect).items() if n not in point.values}
-    trials = [{**known, **own, **t} for t in screening.grids(mine, point.structure, point.values)[effect]]
-    begun = min(trials, key=lambda v: likelihood.evaluate(mine, longer, v, point.density).deviance)
+    trials = screening.grids(mine, point.structure, point.values)[effect]
+    places = [screening.placed(point, longer, effect, t) for t in trials]
+    begun = screening.likeliest(mine, longer, places, point.density)
     return Hypothesis((effect,), valleys.settle(cases, longer, begun, held, point.density))
 
 

@@ -257,7 +257,7 @@ def _score(base: Point, point: Point, news: Sequence[str]) -> tuple[FloatArray, 
     return step, max(float(g @ ahead - g[:old] @ without), 0.0)
 
 
-def _placed(base: Point, structure: Structure, effect: str, trial: Mapping[str, float]) -> dict[str, float]:
+def placed(base: Point, structure: Structure, effect: str, trial: Mapping[str, float]) -> dict[str, float]:
     """The base's values, and the effect's as in the trial, or at which it does nothing."""
     unmoved = {k: v for k, v in neutral(effect).items() if k not in base.values}
     return ready.completed(structure, {**base.values, **unmoved, **trial})
@@ -274,7 +274,7 @@ def _nested_starts(
     companions = [s.gain for s in others if s is not None]
     starts = []
     for trial in trials:
-        values = _placed(base, structure, effect, trial)
+        values = placed(base, structure, effect, trial)
         phased = () if screen.phase is None else (screen.phase,)
         if phased and screen.gain not in trial:
             # Of no size at all it has no phase either; the smallest shows what both lead to.
@@ -310,7 +310,7 @@ def _direct_start(
 ) -> tuple[float, dict[str, float]]:
     """What a candidate that is tried as it is promises at best, the rest of the model's regain too, and where."""
     structure = extended(base.structure, effect)
-    places = [_placed(base, structure, effect, _inside(t)) for t in trials]
+    places = [placed(base, structure, effect, _inside(t)) for t in trials]
     # A valley may be narrow, and its walls are what a place beside it shows: the likeliest walk a little before they
     # are judged, and the likeliest of every choice that no walk changes.
     places.sort(key=lambda v: likelihood.evaluate(cases, structure, v, base.density).deviance)
@@ -368,8 +368,8 @@ def enter(cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapp
     assert screen is not None
     nested = [t for t in trials if screen.gain not in t]
     elsewhere = [t for t in trials if screen.gain in t]
-    placed = [_placed(base, structure, effect, t) for t in elsewhere]
-    kinds = [nested] + ([[likeliest(mine, structure, placed, base.density)]] if placed else [])
+    begins = [placed(base, structure, effect, t) for t in elsewhere]
+    kinds = [nested] + ([[likeliest(mine, structure, begins, base.density)]] if begins else [])
     begun = [max(_nested_starts(mine, base, effect, k), key=lambda s: s.promise) for k in kinds]
     promise, places = begun[0].promise, tuple(begun[0].at(share) for share in _SHARES)
     if len(begun) > 1:
