@@ -104,6 +104,14 @@ def test_a_ripple_on_a_short_or_linear_travel_is_looked_for_anywhere(order, unit
     assert min(abs(f - rate) for f in found) <= 0.26 * 2.0 * np.pi / travel
 
 
+def test_a_ripple_that_is_seen_twice_is_looked_for() -> None:
+    """One that is allowed to be named has to be tried."""
+    position = 1.1 * np.sin(0.4 * 0.002 * np.arange(20000))
+    found = lines(position, noisy(np.sin(7.0 * position + 1.0)), "torque_ripple", "ripple_order")
+    assert 2.0 < 7.0 * np.ptp(position) / (2.0 * np.pi) < 2.6
+    assert min(abs(f - 7.0) for f in found) <= 0.26 * 2.0 * np.pi / np.ptp(position)
+
+
 def test_where_nothing_is_missing_there_is_something_to_try_all_the_same() -> None:
     position = np.sin(0.002 * np.arange(5000))
     assert lines(position, np.zeros(5000), "torque_ripple", "ripple_order")

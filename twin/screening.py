@@ -20,6 +20,7 @@ from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.likelihood import Case, Point
 from twin.locate import Missing
+from twin.plausibility import REPEATS
 
 FloatArray = NDArray[np.float64]
 
@@ -105,10 +106,10 @@ def grids(
     out["stribeck_friction"] = [{"stribeck_velocity": f * fast} for f in (0.02, 0.06, 0.15)]
     read = np.isfinite(missing.torque)
     if travel > 0.0:
-        # A ripple is one that is seen to repeat three times; on more than half a turn, a whole number of times a turn.
-        least = 3.0 * _TURN / travel
+        # A ripple is one that is seen to repeat; on more than half a turn, a whole number of times a turn.
+        least = REPEATS * _TURN / travel
         turning = not longest.recording.output_unit.startswith("m") and travel > 3.0
-        circle, most = (_TURN, 60.0) if turning else (_FINE * travel, 30.0 * least)
+        circle, most = (_TURN, 60.0) if turning else (_FINE * travel, 45.0 * least)
         orders = _lines(missing.position[read], missing.torque[read], circle, least, most)
         out["torque_ripple"] = [{"ripple_order": n} for n in orders]
     slowest, fastest = _TURN * max(0.1, 2.0 / end), _TURN * min(25.0, 0.2 / missing.step)
