@@ -11,11 +11,12 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 #: A module of `twin` imports only names that stand before its own.
-ORDER = """errors tomlfile files style quantities words effects axis equations model variables description writers lanes
-    kernel faults rig formats manifest recording loop likelihood meetings ready startup ascent two_stage identify
-    fitting locate compare plausibility screening valleys foretold explain unknown redrawn finding experiment archive
-    running compilers package native ssp search hold_out extend sampled controller linear control reference
-    controller_fmu robust cosim phrases figures report pipeline cli checks pytest_plugin __main__"""
+ORDER = """errors tomlfile files style quantities words effects axis equations model variables description writers
+    lanes kernel faults rig formats manifest recording loop likelihood meetings ready startup ascent
+    two_stage identify fitting locate compare plausibility screening following valleys foretold explain
+    unknown redrawn finding experiment archive running compilers package native ssp search hold_out extend
+    sampled controller linear control reference controller_fmu robust cosim phrases figures report pipeline
+    cli checks pytest_plugin __main__"""
 TOP = {
     "pyproject.toml", "fmu_src", "twin", "tests", "models", "scripts", "README.md", "LICENSE", "CONTRIBUTING.md",
     "docs", ".ci", ".gitignore",

@@ -449,8 +449,8 @@ def test_what_did_not_last_is_followed_by_another_look(monkeypatch) -> None:
     wave, push = (replace(base, structure=base.structure.with_(e)) for e in ("gravity", "constant_offset"))
     grown, asked = iter([wave, push]), []
 
-    def grow(cases, best, known, candidates, held, tell):
-        asked.append((best, list(known)))
+    def grow(cases, best, candidates, held, tell):
+        asked.append(best)
         return next(grown), []
 
     monkeypatch.setattr(search.ascent, "start", lambda recordings, first, held: ([], [base]))
@@ -458,14 +458,12 @@ def test_what_did_not_last_is_followed_by_another_look(monkeypatch) -> None:
     monkeypatch.setattr(search.ascent, "polish", lambda cases, point: ([], point))
     monkeypatch.setattr(valleys, "judged", lambda cases, point: 1.0)
     monkeypatch.setattr(valleys, "settle", lambda cases, structure, values, held, density: base)
-    monkeypatch.setattr(search.explain, "contest", lambda cases, base, candidates: [])
-    monkeypatch.setattr(search.explain, "from_afar", lambda cases, far, held, density: ["seen from afar"])
     monkeypatch.setattr(search.screening, "offered", lambda cases, candidates: candidates)
     monkeypatch.setattr(search, "_grown", grow)
     monkeypatch.setattr(search, "_pruned", lambda cases, best, begun, held: (base if best is wave else best, [base]))
     monkeypatch.setattr(search, "closer", lambda found, held, candidates: found)
     found = search.find([], base.structure, {})
-    assert asked == [(base, ["seen from afar"]), (base, [])]
+    assert asked == [base, base]
     assert found.last is push
 
 
@@ -585,5 +583,5 @@ def test_no_more_effects_than_that_are_looked_for(monkeypatch, alone: int, late:
     monkeypatch.setattr(valleys, "relocated", lambda cases, point, held: point)
     monkeypatch.setattr(search, "_plainer", lambda cases, this, held: this.rivals[0].point)
     monkeypatch.setattr(search, "plausible", lambda cases, point, before: True)
-    best, rounds = search._grown((), points[0], [], names, {}, lambda sentence, share: None)
+    best, rounds = search._grown((), points[0], names, {}, lambda sentence, share: None)
     assert len(best.structure.named) == effects == sum(r.won for r in rounds) <= search.MOST

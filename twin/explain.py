@@ -5,10 +5,10 @@ of deviance is worth less; what it is worth is measured (`compare.worth`). Where
 filter that trusts the model for longer than a bounce is led astray by bounces that no model foresees, and rewards
 whatever moves them: so what is added must show to shorter memories, too (`shows`).
 
-Every candidate is looked at from two places. Near: beside the model as it stands, where the score test sees the
-smallest effect. Far: from contact without compliance, whose likelihood is smooth, so that an effect is found also where
-its lack has led the model astray. The best few are fitted with everything else, and the smaller model is refitted from
-their optimum before they are compared, so that a badly converged model makes no discovery.
+Candidates are looked at from two places. Near: beside the model as it stands, where the score test sees the smallest
+effect. Far: where they follow the torque that is missing along the way (`following`), so that an effect is found also
+where its lack has led the model astray. The best few are fitted with everything else, and the smaller model is refitted
+from their optimum before they are compared, so that a badly converged model makes no discovery.
 
 Where a model is right for a moment only, a lost round is looked at once more, for slow torques, with a filter that
 remembers for longer (`slower`).
@@ -24,18 +24,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import compare, identify, likelihood, meetings, ready, screening, valleys
+from twin import compare, following, identify, likelihood, meetings, ready, screening, valleys
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
+from twin.following import Follower
 from twin.likelihood import Case, Point
 from twin.plausibility import plausible
 from twin.screening import Entry
 
 FloatArray = NDArray[np.float64]
 
-#: Candidates per round that climb a little, and how many of them go on to the end from near and from far.
-SURVIVORS = 8
-NEAR, FAR = 4, 2
+#: Candidates per round that climb a little, how many of them go on to the end, and how many of those that follow the
+#: missing torque best are fitted from where they do.
+SURVIVORS, NEAR, FOLLOWING = 8, 4, 2
 #: Share of the best one's gain, and of what an effect must earn, from which on others are looked at more deeply.
 CLOSE, HOPE = 0.4, 0.25
 #: So many of the best take each other's place where the likelihood is rough.
@@ -168,20 +169,20 @@ def _finish(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float], den
     return Hypothesis(h.added, valleys.settle(cases, h.point.structure, h.point.values, held, density))
 
 
-def from_afar(
-    cases: Sequence[Case], far: Sequence[Hypothesis], held: Mapping[str, float], density: float
-) -> list[Hypothesis]:
-    """The most promising of what was seen from a coarse model, fitted in full.
+def _following(
+    cases: Sequence[Case], base: Point, candidates: Sequence[str], held: Mapping[str, float]
+) -> list[Hypothesis]:  # fmt: skip
+    """The candidates that follow the missing torque best, fitted from where they do on the likelier side of the gap."""
 
-    Gap, shares and teeth are looked for anew: what the smaller model took for them may be the effect.
-    """
-
-    def fitted(h: Hypothesis) -> Hypothesis:
-        begun = valleys.retoothed(cases, h.point.structure, h.point.values, held, density)
-        return Hypothesis(h.added, valleys.relocated(cases, begun, held))
+    def fitted(follower: Follower) -> Hypothesis:
+        structure = ready.with_teeth(follower.structure)
+        mine = ready.with_steps(cases, structure)
+        places = [ready.completed(structure, place) | dict(held) for place in follower.places]
+        begun = screening.likeliest(mine, structure, places, base.density)
+        return Hypothesis((follower.effect,), valleys.settle(cases, structure, begun, held, base.density))
 
     with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(fitted, far[:FAR]))
+        return list(pool.map(fitted, following.followers(cases, base, candidates)[:FOLLOWING]))
 
 
 def _alike(effect: str, winner: Hypothesis) -> bool:
@@ -253,6 +254,7 @@ def compete(
         for _ in range(AGAIN):
             near = contest(cases, before, promising)
             keep(list(pool.map(lambda h: _finish(cases, h, held, density), near[:NEAR])))
+            keep(_following(cases, before, promising, held))
             leaders = leading(2)
             places = pool.map(lambda h: valleys.settle(cases, structure, h.point.values, held, density), leaders)
             smaller = _better(cases, before, list(places))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import compare, equations, likelihood, locate, ready
+from twin import likelihood, locate, ready
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.likelihood import Case, Point
@@ -67,21 +67,6 @@ def _heating(missing: Missing, values: Mapping[str, float], span: float) -> floa
     current = missing.command - share * values.get("viscous_friction", 0.0) / gain * missing.velocity
     mean = float(np.sqrt(np.nanmean(np.square(current)))) if np.isfinite(current).any() else span
     return min(max(mean, 0.05 * span), span)
-
-
-def _followed(missing: Missing, effect: str, row: Mapping[str, float]) -> dict[str, float]:
-    """The row, with the size and phase at which the effect's law on link or shaft follows the missing torque best."""
-    screen = EFFECTS[effect].screen
-    assert screen is not None and screen.phase and screen.combine
-    read = np.flatnonzero(np.isfinite(missing.torque) & np.isfinite(missing.position))
-    at = read[np.linspace(0, len(read) - 1, min(_FOLLOWED, len(read))).astype(np.intp)]
-    places = {"position": missing.position[at], "time": missing.time[at]}
-    unit = {**row, screen.gain: 1.0}
-    laws = [equations.along(effect, places, {**unit, screen.phase: phase}) for phase in (0.0, 0.25 * _TURN)]
-    columns = np.array([np.ones(len(at)), *laws]).T
-    _, one, other = np.linalg.lstsq(columns, _clipped(missing.torque[at]), rcond=None)[0].tolist()
-    gain, phase = screen.combine(one, other)
-    return {**row, screen.gain: gain, screen.phase: phase}
 
 
 def grids(
@@ -155,8 +140,6 @@ def grids(
             for share in (0.15, 0.3, 0.45)
             for gap in (0.015 * lever, 0.04 * lever)
         ]
-    for effect in _PHASED:
-        out[effect] += [_followed(missing, effect, row) for row in out[effect]]
     return {effect: _sided(rows, structure, values, effect) for effect, rows in out.items()}
 
 
@@ -174,13 +157,8 @@ def _sided(
     return [{**row, **dict(zip(shares, side, strict=True))} for row in rows for side in sides]
 
 
-#: Torques whose phase a step from nothing may get wrong: they begin where they follow the missing torque, too.
-_PHASED = ("gravity", "torque_ripple", "periodic_disturbance")
-#: Stamps at which that is looked at.
-_FOLLOWED = 4000
-
 #: Candidates whose gain has no neutral value to differentiate at, or acts too far from it: tried as they are.
-_DIRECT = ("drive_saturation", "motor_lag", "input_delay", "end_stop", "joint_elasticity")
+DIRECT = ("drive_saturation", "motor_lag", "input_delay", "end_stop", "joint_elasticity")
 
 
 #: Candidates that repeat with a full turn: a linear axis has none.
@@ -231,7 +209,7 @@ class Start:
 
     def at(self, share: float) -> dict[str, float]:
         """The values after a share of the steps."""
-        return {**self.values, **_inside({n: self.values[n] + share * s for n, s in self.steps.items()})}
+        return {**self.values, **inside({n: self.values[n] + share * s for n, s in self.steps.items()})}
 
 
 def neutral(effect: str) -> dict[str, float]:
@@ -267,7 +245,7 @@ def placed(base: Point, structure: Structure, effect: str, trial: Mapping[str, f
 def _nested_starts(
     cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]]
 ) -> list[Start]:
-    """Starts of a candidate that has a neutral value, from the exact sensitivities there, or at the size of a trial."""
+    """Starts of a candidate that has a neutral value, from the exact sensitivities there."""
     screen = EFFECTS[effect].screen
     assert screen is not None
     structure = extended(base.structure, effect)
@@ -277,14 +255,14 @@ def _nested_starts(
     for trial in trials:
         values = placed(base, structure, effect, trial)
         phased = () if screen.phase is None else (screen.phase,)
-        if phased and screen.gain not in trial:
+        if phased:
             # Of no size at all it has no phase either; the smallest shows what both lead to.
             values |= {screen.gain: _SMALLEST, phased[0]: 0.0}
         news = (screen.gain, *phased, *companions)
         point = likelihood.evaluate(cases, structure, values, base.density, (*base.free, *news))
         step, promise = _score(base, point, news)
         found = dict(zip(point.free, step.tolist(), strict=True))
-        if phased and screen.gain not in trial:
+        if phased:
             assert screen.combine is not None
             found[screen.gain], phase = screen.combine(found[screen.gain], _SMALLEST * found.pop(phased[0]))
             values |= {screen.gain: 0.0, phased[0]: phase}
@@ -292,7 +270,7 @@ def _nested_starts(
     return starts
 
 
-def _inside(values: Mapping[str, float]) -> dict[str, float]:
+def inside(values: Mapping[str, float]) -> dict[str, float]:
     """Values moved inside their parameters' bounds."""
     bounds = {n: likelihood.bounds_of(n) for n in values}
     return {n: float(min(max(v, bounds[n][0]), bounds[n][1])) for n, v in values.items()}
@@ -311,7 +289,7 @@ def _direct_start(
 ) -> tuple[float, dict[str, float]]:
     """What a candidate that is tried as it is promises at best, the rest of the model's regain too, and where."""
     structure = extended(base.structure, effect)
-    places = [placed(base, structure, effect, _inside(t)) for t in trials]
+    places = [placed(base, structure, effect, inside(t)) for t in trials]
     # A valley may be narrow, and its walls are what a place beside it shows: the likeliest walk a little before they
     # are judged, and the likeliest of every choice that no walk changes.
     places.sort(key=lambda v: likelihood.evaluate(cases, structure, v, base.density).deviance)
@@ -362,22 +340,8 @@ def enter(cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapp
     held = set(ready.free_parameters(base.structure)) - set(base.free)
     free = tuple(n for n in ready.free_parameters(structure) if n not in held)
     trials = [{n: v for n, v in row.items() if n not in held} for row in trials]
-    if effect in _DIRECT:
+    if effect in DIRECT:
         promise, values = _direct_start(mine, base, effect, trials, free)
         return Entry(effect, structure, free, (values,), promise)
-    screen = EFFECTS[effect].screen
-    assert screen is not None
-    nested = [t for t in trials if screen.gain not in t]
-    elsewhere = [t for t in trials if screen.gain in t]
-    begins = [placed(base, structure, effect, t) for t in elsewhere]
-    kinds = [nested] + ([[likeliest(mine, structure, begins, base.density)]] if begins else [])
-    begun = [max(_nested_starts(mine, base, effect, k), key=lambda s: s.promise) for k in kinds]
-    promise, places = begun[0].promise, tuple(begun[0].at(share) for share in _SHARES)
-    if len(begun) > 1:
-        # From elsewhere is where no step from nothing leads: it must be worth more than the largest of many such looks.
-        starts = [likeliest(mine, structure, [s.at(share) for share in _SHARES], base.density) for s in begun]
-        one, other = (likelihood.climb(mine, structure, v, base.density, free, _STEPS, 1.0) for v in starts)
-        promise, places = max(promise, base.deviance - one.deviance), (one.values,)
-        if one.deviance - other.deviance > compare.LEAST * compare.worth([one, other]):
-            promise, places = max(promise, base.deviance - other.deviance), (other.values,)
-    return Entry(effect, structure, free, places, promise)
+    best = max(_nested_starts(mine, base, effect, trials), key=lambda s: s.promise)
+    return Entry(effect, structure, free, tuple(best.at(share) for share in _SHARES), best.promise)

@@ -94,14 +94,11 @@ def _fair(cases: Sequence[Case], point: Point, lesser: Sequence[Point], begun: P
 
 
 def _grown(
-    cases: Sequence[Case], best: Point, known: Sequence[Hypothesis], candidates: Sequence[str],
-    held: Mapping[str, float], tell: Progress,
-) -> tuple[Point, list[Round]]:  # fmt: skip
-    """The model with what earns its place, one effect at a time, and the rounds, of which the last may have added none.
-
-    `known` are rivals of the first round that have been fitted already.
-    """
+    cases: Sequence[Case], best: Point, candidates: Sequence[str], held: Mapping[str, float], tell: Progress
+) -> tuple[Point, list[Round]]:
+    """The model with what earns its place, one effect at a time; the rounds, of which the last may have added none."""
     rounds: list[Round] = []
+    known: list[Hypothesis] = []
     while len(rounds) < MOST and (open_ := [c for c in candidates if c not in best.structure]):
         tell(f"round {len(rounds) + 1}: trying {len(open_)} effects", 0.05 + 0.2 * len(rounds))
         moved = valleys.relocated(cases, valleys.rejudged(cases, best, held), held) if rounds else best
@@ -165,11 +162,9 @@ def find(
     cases = meetings.judged_throughout(polished)
     best = valleys.settle(cases, first, fine.values, held, valleys.judged(cases, fine))
     candidates = screening.offered(cases, candidates)
-    far = explain.contest(cases, rough[0], [c for c in candidates if c not in first])
-    known = explain.from_afar(cases, far, held, best.density)
     rounds: list[Round] = []
     for _ in range(TURNS):
-        grown, more = _grown(cases, best, known, candidates, held, tell)
+        grown, more = _grown(cases, best, candidates, held, tell)
         rounds += more
         # What the last model is held against is judged as it is.
         start = rounds[0].before if rounds else grown
@@ -179,7 +174,6 @@ def find(
         # What was ousted, or did not last, may have stood before what would; but not where it did more than all others.
         if best.structure in (grown.structure, *(this.before.structure for this in rounds)):
             break
-        known = []
     best = _unmet(cases, best)
     wider = _wider(cases, best, first, candidates, held, rounds)
     best, swaps = _widened(cases, best, swaps, wider, held)

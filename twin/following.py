@@ -1,0 +1,154 @@
+"""Which laws follow the missing torque, and from where they do.
+
+Where much is missing and a motor rattles in its gap, the likelihood is so rough that a climb ends in the first valley,
+whatever it climbs with. The torque that a filter has to add knows of no valleys: along the way that the axis went it is
+linear in the sizes of most laws, and so is what the base itself would do otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin import equations, locate, ready, screening
+from twin.axis import Structure
+from twin.effects.catalogue import EFFECTS
+from twin.likelihood import Case, Point
+from twin.locate import Missing
+
+FloatArray = NDArray[np.float64]
+
+#: Slots whose laws give torques along the way of the axis.
+TORQUES = ("load", "shaft", "drag", "grip")
+#: What the base itself can do otherwise about the torque: gain, both sides of the dead-band, viscous friction.
+_OWN = 4
+#: Share of the largest speed at which dry friction acts with tanh(1) of its size.
+_SLOW = 0.03
+#: Length of what is averaged and of what is left out in turn, s, and in how many turns.
+_AVERAGE, _STRETCH, _TURNS = 0.02, 1.0, 8
+#: Share that a law has to foretell of the missing torque that the base could do nothing about.
+LEAST = 0.05
+#: Phase by which a law is moved to see how it goes with it.
+_MOVED = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Follower:
+    """A candidate that foretells a share of the missing torque, and values of base and candidate at which it does, one
+    for each side of the gap that it may act on.
+    """
+
+    effect: str
+    structure: Structure
+    share: float
+    places: tuple[dict[str, float], ...]
+
+
+def _averaged(missing: Missing) -> dict[str, FloatArray]:
+    """Torque and states (N,) in averages, where all of them are known."""
+    width = max(round(_AVERAGE / missing.step), 1)
+    count = len(missing.time) // width
+    columns = {
+        "torque": missing.torque, "position": missing.position, "velocity": missing.velocity, "time": missing.time,
+        "command": missing.command,
+    }  # fmt: skip
+    means = {n: c[: count * width].reshape(count, width).mean(axis=1) for n, c in columns.items()}
+    known = np.isfinite(np.array(list(means.values()))).all(axis=0)
+    return {n: c[known] for n, c in means.items()}
+
+
+def _sizes(base: Structure, effect: str) -> list[tuple[str, str]]:
+    """The effect and what it brings along that the base lacks, each with the parameter that is its size."""
+    page = EFFECTS[effect]
+    lacking = [effect, *(i for i in page.includes if i not in base)]
+    return [(i, screen.gain) for i in lacking if (screen := EFFECTS[i].screen)]
+
+
+def _columns(base: Structure, effect: str, row: Mapping[str, float], states: Mapping[str, FloatArray]) -> FloatArray:
+    """What base (the first of them) and effect add to the torque per unit of their sizes, and phase (N, sizes)."""
+    command, speed = states["command"], states["velocity"]
+    found = [command, (command > 0.0).astype(float), (command < 0.0).astype(float), speed]
+    for i, gain in _sizes(base, effect):
+        page = EFFECTS[i]
+        assert page.screen is not None
+        unit = {**screening.neutral(effect), **row, gain: 1.0}
+        sign = -states["direction"] if page.slot == "grip" else np.ones(len(speed))
+        law = sign * equations.along(i, states, unit)
+        found.append(law)
+        if page.screen.phase is not None:
+            found.append((sign * equations.along(i, states, {**unit, page.screen.phase: _MOVED}) - law) / _MOVED)
+    return np.stack(found, axis=1)
+
+
+def _foretold(columns: FloatArray, torque: FloatArray, turn: NDArray[np.intp]) -> tuple[float, FloatArray]:
+    """The share of the torque's power that a regression foretells where it was not made, and its sizes made of all."""
+    scale = np.sqrt(np.mean(np.square(columns), axis=0)) + 1e-300
+    parts = [(columns[turn == k] / scale, torque[turn == k]) for k in range(_TURNS)]
+    squares, pulls = np.array([a.T @ a for a, _ in parts]), np.array([a.T @ t for a, t in parts])
+    slight = 1e-9 * np.trace(squares.sum(axis=0)) * np.eye(len(scale)) + 1e-300 * np.eye(len(scale))
+    missed = 0.0
+    for (a, t), square, pull in zip(parts, squares, pulls, strict=True):
+        made = np.linalg.solve(squares.sum(axis=0) - square + slight, pulls.sum(axis=0) - pull)
+        missed += float(np.sum(np.square(t - a @ made)))
+    sizes = np.linalg.solve(squares.sum(axis=0) + slight, pulls.sum(axis=0)) / scale
+    return 1.0 - missed / max(float(np.sum(np.square(torque))), 1e-300), sizes
+
+
+def _moved(base: Point, sizes: FloatArray) -> dict[str, float]:
+    """The base's values with gain, dead-bands and viscous friction as a regression would have them."""
+    old = base.values
+    gain = max(old["input_gain"] + sizes[0], 0.3 * old["input_gain"])
+    moved = {"input_gain": gain, "viscous_friction": old.get("viscous_friction", 0.0) - sizes[3]}
+    for name, size in (("dead_band_forward", -sizes[1]), ("dead_band_reverse", sizes[2])):
+        moved[name] = (old["input_gain"] * old.get(name, 0.0) + size) / gain
+    return {**old, **screening.inside({n: v for n, v in moved.items() if n in base.free})}
+
+
+def _places(
+    base: Point, effect: str, row: Mapping[str, float], sizes: FloatArray, rows: Sequence[Mapping[str, float]]
+) -> tuple[dict[str, float], ...]:  # fmt: skip
+    """Values of base and effect as a regression would have them, on each side of the gap that one of the rows names."""
+    own, rest = dict(row), iter(sizes[_OWN:].tolist())
+    for i, gain in _sizes(base.structure, effect):
+        screen = EFFECTS[i].screen
+        assert screen is not None
+        own[gain] = next(rest)
+        if screen.phase is not None:
+            assert screen.combine is not None
+            own[gain], own[screen.phase] = screen.combine(own[gain], next(rest))
+    begun = replace(base, values=_moved(base, sizes))
+    sides = [{n: v for n, v in other.items() if n.endswith("_share")} for other in rows]
+    places = []
+    for side in sides:
+        place = screening.placed(begun, screening.extended(base.structure, effect), effect, {**own, **side})
+        if (place := screening.inside(place)) not in places:
+            places.append(place)
+    return tuple(places)
+
+
+def followers(cases: Sequence[Case], base: Point, candidates: Sequence[str]) -> list[Follower]:
+    """The candidates that foretell more of what the base lacks than it could do itself, the best first."""
+    mine = ready.with_steps(cases, base.structure)
+    longest = max(mine, key=lambda c: c.drive.time[-1])
+    states = _averaged(locate.missing_torque(longest, base.structure, base.values))
+    torque, speed, fastest = states["torque"], states["velocity"], float(np.abs(states["velocity"]).max(initial=0.0))
+    turn = (states["time"] / _STRETCH).astype(np.intp) % _TURNS
+    if fastest == 0.0:
+        return []
+    states["direction"] = np.tanh(speed / (_SLOW * fastest))
+    # What is transmitted as far as the base knows: what is missing moves the axis, too, and would follow itself.
+    states["transmitted"] = base.values["input_gain"] * states["command"]
+    trials = screening.grids(mine, base.structure, base.values)
+    found = []
+    for effect in (e for e in candidates if EFFECTS[e].slot in TORQUES and e not in screening.DIRECT):
+        rows = trials[effect]
+        told = [_foretold(_columns(base.structure, effect, row, states), torque, turn) for row in rows]
+        (share, sizes), row = max(zip(told, rows, strict=True), key=lambda t: t[0][0])
+        alone, _ = _foretold(_columns(base.structure, effect, row, states)[:, :_OWN], torque, turn)
+        if share > (alone := max(alone, 0.0)) + LEAST * (1.0 - alone):
+            structure = screening.extended(base.structure, effect)
+            found.append(Follower(effect, structure, share, _places(base, effect, row, sizes, rows)))
+    return sorted(found, key=lambda f: -f.share)
