@@ -23,8 +23,6 @@ FloatArray = NDArray[np.float64]
 
 #: Slots whose laws give torques along the way of the axis.
 TORQUES = ("load", "shaft", "drag", "grip")
-#: What the base itself can do otherwise about the torque: gain, both sides of the dead-band, viscous friction.
-_OWN = 4
 #: Share of the largest speed at which dry friction acts with tanh(1) of its size.
 _SLOW = 0.03
 #: Length of what is averaged and of what is left out in turn, s, and in how many turns.
@@ -67,15 +65,20 @@ def _sizes(base: Structure, effect: str) -> list[tuple[str, str]]:
     return [(i, screen.gain) for i in lacking if (screen := EFFECTS[i].screen)]
 
 
-def _columns(base: Structure, effect: str, row: Mapping[str, float], states: Mapping[str, FloatArray]) -> FloatArray:
-    """What base (the first of them) and effect add to the torque per unit of their sizes, and phase (N, sizes)."""
-    command, speed = states["command"], states["velocity"]
-    found = [command, (command > 0.0).astype(float), (command < 0.0).astype(float), speed]
+def _own(states: Mapping[str, FloatArray]) -> FloatArray:
+    """What gain, both sides of the dead-band and viscous friction add to the torque, per unit (N, 4)."""
+    command = states["command"]
+    return np.stack([command, command > 0.0, command < 0.0, states["velocity"]], axis=1).astype(float)
+
+
+def _laws(base: Structure, effect: str, row: Mapping[str, float], states: Mapping[str, FloatArray]) -> FloatArray:
+    """What the effect and what it brings along add to the torque, per unit of their sizes and phases (N, sizes)."""
+    found = []
     for i, gain in _sizes(base, effect):
         page = EFFECTS[i]
         assert page.screen is not None
         unit = {**screening.neutral(effect), **row, gain: 1.0}
-        sign = -states["direction"] if page.slot == "grip" else np.ones(len(speed))
+        sign = -states["direction"] if page.slot == "grip" else np.ones(len(states["time"]))
         law = sign * equations.along(i, states, unit)
         found.append(law)
         if page.screen.phase is not None:
@@ -110,8 +113,11 @@ def _moved(base: Point, sizes: FloatArray) -> dict[str, float]:
 def _places(
     base: Point, effect: str, row: Mapping[str, float], sizes: FloatArray, rows: Sequence[Mapping[str, float]]
 ) -> tuple[dict[str, float], ...]:  # fmt: skip
-    """Values of base and effect as a regression would have them, on each side of the gap that one of the rows names."""
-    own, rest = dict(row), iter(sizes[_OWN:].tolist())
+    """Values of base and effect as a regression would have them, on each side of the gap that one of the rows names.
+
+    The first four of the sizes are the base's (`_own`), the others the effect's (`_laws`).
+    """
+    own, rest = dict(row), iter(sizes[4:].tolist())
     for i, gain in _sizes(base.structure, effect):
         screen = EFFECTS[i].screen
         assert screen is not None
@@ -142,13 +148,15 @@ def followers(cases: Sequence[Case], base: Point, candidates: Sequence[str]) -> 
     # What is transmitted as far as the base knows: what is missing moves the axis, too, and would follow itself.
     states["transmitted"] = base.values["input_gain"] * states["command"]
     trials = screening.grids(mine, base.structure, base.values)
+    own = _own(states)
+    alone = max(_foretold(own, torque, turn)[0], 0.0)
     found = []
     for effect in (e for e in candidates if EFFECTS[e].slot in TORQUES and e not in screening.DIRECT):
         rows = trials[effect]
-        told = [_foretold(_columns(base.structure, effect, row, states), torque, turn) for row in rows]
+        laws = (_laws(base.structure, effect, row, states) for row in rows)
+        told = [_foretold(np.concatenate([own, law], axis=1), torque, turn) for law in laws]
         (share, sizes), row = max(zip(told, rows, strict=True), key=lambda t: t[0][0])
-        alone, _ = _foretold(_columns(base.structure, effect, row, states)[:, :_OWN], torque, turn)
-        if share > (alone := max(alone, 0.0)) + LEAST * (1.0 - alone):
+        if share > alone + LEAST * (1.0 - alone):
             structure = screening.extended(base.structure, effect)
             found.append(Follower(effect, structure, share, _places(base, effect, row, sizes, rows)))
     return sorted(found, key=lambda f: -f.share)
