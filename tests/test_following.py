@@ -49,17 +49,22 @@ LAWS: dict[str, tuple[Callable[[], Array], dict[str, float]]] = {
 }  # fmt: skip
 
 
-def found(torque: Array, seed: int = 0) -> list[following.Follower]:
-    """What follows this torque (N,) beside noise of a tenth of its size."""
+def asked(question, torque: Array, seed: int = 0, **values: float):
+    """What a question to case and base says where this torque (N,) is missing beside noise of a tenth of its size."""
     noise = 0.1 * float(np.std(torque)) * np.random.default_rng(seed).standard_normal(len(TIME))
     missing = locate.Missing(TIME, torque + noise, PLACE, SPEED, np.gradient(SPEED, TIME), COMMAND, 0.002)
     structure = Structure.of(BASE)
     case = likelihood.prepare(Recording("made", TIME, COMMAND, PLACE, "%", "rad", 1e-4), structure)
     free, none = ready.free_parameters(structure), np.zeros((0, 0))
-    base = Point(structure, ready.completed(structure, BEFORE), 1.0, free, 0.0, 1.0, none, np.zeros(0), none)
+    known = ready.completed(structure, {**BEFORE, **values})
+    base = Point(structure, known, likelihood.density_of(case, 0.1), free, 0.0, 1.0, none, np.zeros(0), none)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(locate, "missing_torque", lambda *args: missing)
-        return following.followers([case], base, CANDIDATES)
+        return question([case], base)
+
+
+def found(torque: Array, seed: int = 0) -> list[following.Follower]:
+    return asked(lambda cases, base: following.followers(cases, base, CANDIDATES), torque, seed)
 
 
 @pytest.mark.parametrize("effect", LAWS)
@@ -111,3 +116,19 @@ def test_noise_and_an_axis_at_rest_are_followed_by_nothing(monkeypatch):
     assert found(noise) == []
     monkeypatch.setitem(globals(), "SPEED", np.zeros(len(TIME)))
     assert found(noise) == []
+
+
+def test_a_drive_that_a_fit_took_for_none_is_seen_where_the_axis_moves_freely():
+    """Where it is held, by stops at both ends here, a torque of any size is missing."""
+    pushes = np.where(COMMAND > 0.0, 0.4 * np.maximum(COMMAND - 5.0, 0.0), 0.4 * np.minimum(COMMAND + 4.0, 0.0))
+    held = np.where(np.abs(PLACE) > 0.97 * np.abs(PLACE).max(), -30.0 * np.sign(PLACE), 0.0)
+    free = asked(following.freed, pushes - 2.0 * SPEED + held, input_gain=0.001, viscous_friction=0.001)
+    assert free.values["input_gain"] == pytest.approx(0.4, rel=0.1)
+    assert free.values["viscous_friction"] == pytest.approx(2.0, rel=0.15)
+    assert free.free == ready.free_parameters(free.structure)
+
+
+@settings(max_examples=15, deadline=None)
+@given(gain=st.floats(-0.1, 0.4), constant=st.floats(-1.0, 1.0), seed=st.integers(0, 99))
+def test_a_base_that_is_about_right_is_left_as_it_is(gain, constant, seed):
+    assert asked(following.freed, gain * COMMAND + constant, seed) is None

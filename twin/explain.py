@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 from twin import compare, following, identify, likelihood, meetings, ready, screening, valleys
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
-from twin.following import Follower
 from twin.likelihood import Case, Point
 from twin.plausibility import plausible
 from twin.screening import Entry
@@ -172,17 +171,30 @@ def _finish(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float], den
 def _following(
     cases: Sequence[Case], base: Point, candidates: Sequence[str], held: Mapping[str, float]
 ) -> list[Hypothesis]:  # fmt: skip
-    """The candidates that follow the missing torque best, fitted from where they do on the likelier side of the gap."""
-
-    def fitted(follower: Follower) -> Hypothesis:
-        structure = ready.with_teeth(follower.structure)
-        mine = ready.with_steps(cases, structure)
-        places = [ready.completed(structure, place) | dict(held) for place in follower.places]
-        begun = screening.likeliest(mine, structure, places, base.density)
-        return Hypothesis((follower.effect,), valleys.settle(cases, structure, begun, held, base.density))
-
+    """The candidates that follow the missing torque best, fitted from where they do, on either side of the gap."""
+    best = following.followers(cases, base, candidates)[:FOLLOWING]
+    begun = [(f, {**place, **held}) for f in best for place in f.places]
     with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(fitted, following.followers(cases, base, candidates)[:FOLLOWING]))
+        fits = pool.map(lambda b: valleys.settle(cases, b[0].structure, b[1], held, base.density), begun)
+        return [Hypothesis((f.effect,), point) for (f, _), point in zip(begun, fits, strict=True)]
+
+
+def _freed(
+    cases: Sequence[Case], base: Point, candidates: Sequence[str], held: Mapping[str, float]
+) -> list[Hypothesis]:  # fmt: skip
+    """The candidates that promise most beside the base as it is where the axis moves freely, if that is far from it;
+    gap, shares and teeth are looked for anew.
+    """
+    free = following.freed(cases, base)
+    if free is None:
+        return []
+
+    def fitted(h: Hypothesis) -> Hypothesis:
+        return Hypothesis(h.added, valleys.relocated(cases, _finish(cases, h, held, base.density).point, held))
+
+    near = contest(cases, free, candidates)[:NEAR]
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(fitted, near))
 
 
 def _alike(effect: str, winner: Hypothesis) -> bool:
@@ -255,6 +267,7 @@ def compete(
             near = contest(cases, before, promising)
             keep(list(pool.map(lambda h: _finish(cases, h, held, density), near[:NEAR])))
             keep(_following(cases, before, promising, held))
+            keep(_freed(cases, before, promising, held))
             leaders = leading(2)
             places = pool.map(lambda h: valleys.settle(cases, structure, h.point.values, held, density), leaders)
             smaller = _better(cases, before, list(places))

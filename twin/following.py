@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import equations, locate, ready, screening
+from twin import equations, likelihood, locate, ready, screening
 from twin.axis import Structure
 from twin.effects.catalogue import EFFECTS
 from twin.likelihood import Case, Point
@@ -23,12 +23,18 @@ FloatArray = NDArray[np.float64]
 
 #: Slots whose laws give torques along the way of the axis.
 TORQUES = ("load", "shaft", "drag", "grip")
-#: Share of the largest speed at which dry friction acts with tanh(1) of its size.
+#: Share of the largest speed below which an axis might as well rest: dry friction then is as large as it must be.
 _SLOW = 0.03
 #: Length of what is averaged and of what is left out in turn, s, and in how many turns.
 _AVERAGE, _STRETCH, _TURNS = 0.02, 1.0, 8
 #: Share that a law has to foretell of the missing torque that the base could do nothing about.
 LEAST = 0.05
+#: Share of the travel at either end, and time before and after it, s, in which a stop may act.
+_BESIDE, _RINGING = 0.05, 0.1
+#: A base whose drive would do so many times as much, or as little, where the axis moves freely has been led astray.
+ASTRAY = 3.0
+#: Averages of a moving axis that are too few to say anything.
+_SEEN = 50
 #: Phase by which a law is moved to see how it goes with it.
 _MOVED = 1e-4
 
@@ -45,8 +51,8 @@ class Follower:
     places: tuple[dict[str, float], ...]
 
 
-def _averaged(missing: Missing) -> dict[str, FloatArray]:
-    """Torque and states (N,) in averages, where all of them are known."""
+def _moving(missing: Missing) -> dict[str, FloatArray]:
+    """Torque and states (N,) in averages, where all of them are known and the axis moves."""
     width = max(round(_AVERAGE / missing.step), 1)
     count = len(missing.time) // width
     columns = {
@@ -55,7 +61,9 @@ def _averaged(missing: Missing) -> dict[str, FloatArray]:
     }  # fmt: skip
     means = {n: c[: count * width].reshape(count, width).mean(axis=1) for n, c in columns.items()}
     known = np.isfinite(np.array(list(means.values()))).all(axis=0)
-    return {n: c[known] for n, c in means.items()}
+    speed = np.abs(means["velocity"])
+    moving = known & (speed > _SLOW * float(speed[known].max(initial=0.0)))
+    return {n: c[moving] for n, c in means.items()} | {"direction": np.sign(means["velocity"][moving])}
 
 
 def _sizes(base: Structure, effect: str) -> list[tuple[str, str]]:
@@ -103,7 +111,7 @@ def _foretold(columns: FloatArray, torque: FloatArray, turn: NDArray[np.intp]) -
 def _moved(base: Point, sizes: FloatArray) -> dict[str, float]:
     """The base's values with gain, dead-bands and viscous friction as a regression would have them."""
     old = base.values
-    gain = max(old["input_gain"] + sizes[0], 0.3 * old["input_gain"])
+    gain = max(old["input_gain"] + sizes[0], 0.2 * old["input_gain"])
     moved = {"input_gain": gain, "viscous_friction": old.get("viscous_friction", 0.0) - sizes[3]}
     for name, size in (("dead_band_forward", -sizes[1]), ("dead_band_reverse", sizes[2])):
         moved[name] = (old["input_gain"] * old.get(name, 0.0) + size) / gain
@@ -135,21 +143,46 @@ def _places(
     return tuple(places)
 
 
+def freed(cases: Sequence[Case], base: Point) -> Point | None:
+    """The base with what it does where the axis moves freely, if that is to push several times as hard or as little.
+
+    What holds the axis, stops or dry friction, and is missing, leads a fit to a drive that does nothing.
+    """
+    mine = ready.with_steps(cases, base.structure)
+    longest = max(mine, key=lambda c: c.drive.time[-1])
+    missing = locate.missing_torque(longest, base.structure, base.values)
+    states = _moving(missing)
+    low, high = float(np.nanmin(missing.position)), float(np.nanmax(missing.position))
+    beside = _BESIDE * (high - low)
+    ends = missing.time[(missing.position < low + beside) | (missing.position > high - beside)]
+    after = np.searchsorted(ends, states["time"])
+    away = np.minimum(
+        np.abs(states["time"] - ends[np.maximum(after - 1, 0)]),
+        np.abs(states["time"] - ends[np.minimum(after, len(ends) - 1)]),
+    )
+    free = {n: c[away > _RINGING] for n, c in states.items()}
+    if len(free["time"]) < _SEEN:
+        return None
+    _, sizes = _foretold(_own(free), free["torque"], (free["time"] / _STRETCH).astype(np.intp) % _TURNS)
+    values = _moved(base, sizes)
+    if 1.0 / ASTRAY < values["input_gain"] / base.values["input_gain"] < ASTRAY:
+        return None
+    return likelihood.evaluate(mine, base.structure, values, base.density, base.free)
+
+
 def followers(cases: Sequence[Case], base: Point, candidates: Sequence[str]) -> list[Follower]:
     """The candidates that foretell more of what the base lacks than it could do itself, the best first."""
     mine = ready.with_steps(cases, base.structure)
     longest = max(mine, key=lambda c: c.drive.time[-1])
-    states = _averaged(locate.missing_torque(longest, base.structure, base.values))
-    torque, speed, fastest = states["torque"], states["velocity"], float(np.abs(states["velocity"]).max(initial=0.0))
-    turn = (states["time"] / _STRETCH).astype(np.intp) % _TURNS
-    if fastest == 0.0:
+    states = _moving(locate.missing_torque(longest, base.structure, base.values))
+    if len(states["time"]) < _SEEN:
         return []
-    states["direction"] = np.tanh(speed / (_SLOW * fastest))
+    torque, turn = states["torque"], (states["time"] / _STRETCH).astype(np.intp) % _TURNS
     # What is transmitted as far as the base knows: what is missing moves the axis, too, and would follow itself.
     states["transmitted"] = base.values["input_gain"] * states["command"]
     trials = screening.grids(mine, base.structure, base.values)
     own = _own(states)
-    alone = max(_foretold(own, torque, turn)[0], 0.0)
+    alone, _ = _foretold(own, torque, turn)
     found = []
     for effect in (e for e in candidates if EFFECTS[e].slot in TORQUES and e not in screening.DIRECT):
         rows = trials[effect]
