@@ -128,6 +128,14 @@ def test_a_drive_that_a_fit_took_for_none_is_seen_where_the_axis_moves_freely():
     assert free.free == ready.free_parameters(free.structure)
 
 
+def test_a_drive_that_does_nothing_at_all_is_freed_too():
+    pushes = 0.4 * COMMAND
+    free = asked(following.freed, pushes, input_gain=0.0, dead_band_forward=0.0, dead_band_reverse=0.0)
+    assert free.values["input_gain"] == pytest.approx(0.4, rel=0.1)
+    assert asked(following.freed, -pushes, input_gain=0.0) is None, "no drive pushes backwards"
+    assert all(np.isfinite(v) for f in found(-pushes) for p in f.places for v in p.values())
+
+
 @settings(max_examples=15, deadline=None)
 @given(gain=st.floats(-0.1, 0.4), constant=st.floats(-1.0, 1.0), seed=st.integers(0, 99))
 def test_a_base_that_is_about_right_is_left_as_it_is(gain, constant, seed):

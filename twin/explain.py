@@ -17,6 +17,7 @@ remembers for longer (`slower`).
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -176,7 +177,9 @@ def _following(
     begun = [(f, {**place, **held}) for f in best for place in f.places]
     with ThreadPoolExecutor(2) as pool:
         fits = pool.map(lambda b: valleys.settle(cases, b[0].structure, b[1], held, base.density), begun)
-        return [Hypothesis((f.effect,), point) for (f, _), point in zip(begun, fits, strict=True)]
+        found = [Hypothesis((f.effect,), point) for (f, _), point in zip(begun, fits, strict=True)]
+    # Where a regression sends the drive to sleep no model runs.
+    return [h for h in found if math.isfinite(h.deviance)]
 
 
 def _freed(

@@ -7,6 +7,7 @@ linear in the sizes of most laws, and so is what the base itself would do otherw
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -33,6 +34,8 @@ LEAST = 0.05
 _BESIDE, _RINGING = 0.05, 0.1
 #: A base whose drive would do so many times as much, or as little, where the axis moves freely has been led astray.
 ASTRAY = 3.0
+#: A drive that pushes less, as acceleration per unit of the input, has no dead-band.
+_LEAST_GAIN = 1e-9
 #: Averages of a moving axis that are too few to say anything.
 _SEEN = 50
 #: Phase by which a law is moved to see how it goes with it.
@@ -111,7 +114,7 @@ def _foretold(columns: FloatArray, torque: FloatArray, turn: NDArray[np.intp]) -
 def _moved(base: Point, sizes: FloatArray) -> dict[str, float]:
     """The base's values with gain, dead-bands and viscous friction as a regression would have them."""
     old = base.values
-    gain = max(old["input_gain"] + sizes[0], 0.2 * old["input_gain"])
+    gain = max(old["input_gain"] + sizes[0], 0.2 * old["input_gain"], _LEAST_GAIN)
     moved = {"input_gain": gain, "viscous_friction": old.get("viscous_friction", 0.0) - sizes[3]}
     for name, size in (("dead_band_forward", -sizes[1]), ("dead_band_reverse", sizes[2])):
         moved[name] = (old["input_gain"] * old.get(name, 0.0) + size) / gain
@@ -164,10 +167,11 @@ def freed(cases: Sequence[Case], base: Point) -> Point | None:
     if len(free["time"]) < _SEEN:
         return None
     _, sizes = _foretold(_own(free), free["torque"], (free["time"] / _STRETCH).astype(np.intp) % _TURNS)
-    values = _moved(base, sizes)
-    if 1.0 / ASTRAY < values["input_gain"] / base.values["input_gain"] < ASTRAY:
+    values, pushed = _moved(base, sizes), base.values["input_gain"]
+    if pushed / ASTRAY < values["input_gain"] < pushed * ASTRAY:
         return None
-    return likelihood.evaluate(mine, base.structure, values, base.density, base.free)
+    found = likelihood.evaluate(mine, base.structure, values, base.density, base.free)
+    return found if math.isfinite(found.deviance) else None
 
 
 def followers(cases: Sequence[Case], base: Point, candidates: Sequence[str]) -> list[Follower]:
