@@ -192,6 +192,17 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
             assert plausible(cases, point) is right, (effect, value)
 
 
+@pytest.mark.parametrize(("speed", "right"), [(0.1, True), (0.02, False)])  # 6.4 counts, and a quarter of one
+def test_friction_that_falls_within_a_count_is_what_bristles_do(speed: float, right: bool) -> None:
+    time = 0.002 * np.arange(5000)
+    turning = Recording("turning", time, np.full(5000, 30.0), 3.0 * np.sin(time), "%", "rad", 3.1e-4)
+    structure = Structure.of([*BASE, "stribeck_friction"])
+    cases = [likelihood.prepare(turning, structure)]
+    friction = {"coulomb_friction": 0.2, "stribeck_friction": 2.3, "stribeck_velocity": speed}
+    values = ready.completed(structure, friction)
+    assert plausible(cases, likelihood.evaluate(cases, structure, values, 1.0)) is right
+
+
 def test_what_a_first_model_has_and_the_rig_has_not_speaks_against_nothing_that_is_added() -> None:
     time = 0.002 * np.arange(5000)
     turning = Recording("turning", time, np.full(5000, 30.0), 3.0 * np.sin(time), "%", "rad", 1e-4)

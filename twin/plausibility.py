@@ -82,10 +82,15 @@ def _joint(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
 
 
 def _stribeck(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
-    """Friction that falls with speed falls within some speed, and one that readings can tell from rest."""
+    """Friction that falls with speed falls within some speed, and one that readings can tell from rest; and the axis,
+    were it pushed by as much as it is held, moves by a count before it has fallen: every dry contact gives by as much,
+    and what its bristles do to a reversal looks like friction that is many times as large at rest.
+    """
     least, _ = likelihood.bounds_of("stribeck_velocity")
+    speed, held = values["stribeck_velocity"], values["coulomb_friction"] + values["stribeck_friction"]
     told = min(c.recording.resolution / (1.0 if c.drive.speed else CREEPS) for c in cases)
-    return values["stribeck_velocity"] > max(2.0 * least, told)
+    count = min((c.recording.resolution for c in cases if not c.drive.speed), default=0.0)
+    return speed > max(2.0 * least, told) and speed**2 > 2.0 * held * count
 
 
 def _fade(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
