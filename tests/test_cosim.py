@@ -19,7 +19,7 @@ from twin.effects import knots
 from twin.effects.catalogue import BASE
 from twin.effects.catalogue import EFFECTS as EFFECT_PAGES
 from twin.errors import BadInput
-from twin.model import Model
+from twin.model import Model, dumps, loads
 from twin.package import export
 from twin.reference import Reference, check, read_reference
 from twin.robust import draw, robustness, trial
@@ -338,6 +338,21 @@ def test_draws_have_the_covariance_and_stay_in_bounds() -> None:
     drawn = draw(model, 2000)
     assert np.std([m.values["gravity_gain"] for m in drawn]) == pytest.approx(0.5, rel=0.1)
     assert min(m.values["dead_band_forward"] for m in drawn) >= 0.0
+
+
+def test_what_left_no_trace_is_written_read_and_not_drawn() -> None:
+    """Its variance has no end; neither has a MODEL.toml that says so an error, nor a draw of it a meaning."""
+    model, _ = uncertain(gravity_gain=0.5, dead_band_forward=math.inf)
+    text = dumps(replace(model, covariance=np.diag([0.25, math.inf])))
+    read = loads(text, "MODEL.toml")
+    assert read.std("dead_band_forward") == math.inf and read.std("gravity_gain") == 0.5
+    assert {m.values["dead_band_forward"] for m in draw(read, 50)} == {model.values["dead_band_forward"]}
+    assert np.std([m.values["gravity_gain"] for m in draw(read, 2000)]) == pytest.approx(0.5, rel=0.1)
+    for wrong in ("nan", "-inf"):
+        with pytest.raises(BadInput, match="not a finite number"):
+            loads(text.replace("0.0, inf]", f"0.0, {wrong}]"), "MODEL.toml")
+    with pytest.raises(BadInput, match="not a finite number"):
+        loads(text.replace("0.25, 0.0]", "0.25, inf]"), "MODEL.toml")
 
 
 def test_well_known_axis_meets_its_specification_and_a_vague_one_says_what_to_learn() -> None:

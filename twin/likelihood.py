@@ -224,10 +224,15 @@ class Point:
     @property
     @_unheeded()
     def covariance(self) -> FloatArray:
-        """Of the free parameters; what cannot be seen gets a huge variance, not a small one."""
+        """Of the free parameters; what cannot be seen gets a huge variance, not a small one, and what leaves no trace
+        an infinite one, and none with others."""
         eigenvalues, vectors, size = self._directions
         inverse = (vectors / np.maximum(eigenvalues, UNDETERMINED)) @ vectors.T
-        return np.asarray(inverse / np.outer(size, size))
+        found = np.asarray(inverse / np.outer(size, size))
+        lost = ~np.isfinite(np.diag(found))
+        found[lost, :] = found[:, lost] = 0.0
+        found[lost, lost] = np.inf
+        return found
 
     @cached_property
     @_unheeded()

@@ -16,7 +16,7 @@ from twin.effects.catalogue import EFFECTS
 from twin.effects.end_stop import NOWHERE
 from twin.errors import BadInput
 from twin.quantities import Parameter
-from twin.tomlfile import check_keys, finite, load, number, parse, quoted, section, size, texts
+from twin.tomlfile import check_keys, finite, load, number, parse, quoted, real, section, size, texts
 
 FORMAT = "twin-model/1"
 _TABLES = ("axis", "structure", "parameters", "noise", "known", "covariance", "provenance")
@@ -28,7 +28,8 @@ INPUT_NAMES = {"%": "duty", "V": "voltage", "A": "current", "N*m": "torque", "N"
 class Model:
     """A structure with numbers.
 
-    `values` holds every parameter of the structure; `covariance` (n, n) belongs to `fitted`, in that order.
+    `values` holds every parameter of the structure; `covariance` (n, n) belongs to `fitted`, in that order: what left
+    no trace in the recordings has an infinite variance, and none with others.
     `intervals` are 95 % profile-likelihood intervals of bounded and kinked parameters; `notes` says of a
     parameter what a reader must know ("the recording cannot fix it: ...").
     """
@@ -227,7 +228,13 @@ def _covariance(
     good = good and all(isinstance(r, list) and len(r) == len(names) for r in rows)
     if not good:
         raise BadInput(f"{where}: [covariance] matrix must have {len(names)} rows of {len(names)} numbers: correct it")
-    flat = [finite(f"{where}: [covariance] matrix", v) for r in rows for v in r]
+    asked = f"{where}: [covariance] matrix"
+    # What left no trace in a recording has no end of variance.
+    flat = [
+        math.inf if i == j and real(asked, v) == math.inf else finite(asked, v)
+        for i, row in enumerate(rows)
+        for j, v in enumerate(row)
+    ]
     return tuple(names), np.array(flat).reshape(len(names), len(names))
 
 

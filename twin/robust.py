@@ -118,7 +118,10 @@ def draw(model: Model, count: int, seed: int = 0) -> list[Model]:
         raise BadInput("the model has no covariance to draw from: identify it from a recording")
     rng = np.random.default_rng(seed)
     mean = np.array([model.values[n] for n in model.fitted])
-    drawn = rng.multivariate_normal(mean, model.covariance, size=count, method="eigh")
+    # What left no trace where it was looked for keeps its value.
+    told = np.isfinite(np.diag(model.covariance))
+    drawn = np.tile(mean, (count, 1))
+    drawn[:, told] = rng.multivariate_normal(mean[told], model.covariance[np.ix_(told, told)], count, method="eigh")
     low = np.array([model.parameter(n).lower for n in model.fitted])
     high = np.array([model.parameter(n).upper for n in model.fitted])
     # A gain at its lower bound of zero would be no axis at all.
