@@ -21,11 +21,12 @@ PRICE = 3.0
 #: a true name (circuit, seed 59083) what was not there earned up to 21.6, and as many earned 10 to 22 that were there.
 LEAST = 22.0
 #: Chance that what passes for one of the candidates is something that none of them describes, and units that count as
-#: one of log-odds times two: a model that errs a little makes likelihoods too sure. Of the 326 names that
-#: scripts/blind_trial.py gave at 39c677b and 3df93c3, at 7, those below 0.9 were right more often than they said: to
-#: the 90 of 3df93c3 (69061 from 1244, on the circuit 71069 from 1459) 5 is 3 times as likely, and 4 is 5 times.
+#: one of log-odds times two: a model that errs a little makes likelihoods too sure. To 393 names that
+#: scripts/blind_trial.py gave (61091 and 69061 from 31, on the circuit 59083 and 71069 from 156) 6, 7 and 8 are about
+#: equally likely, and 10 is less so; to 250 more (69061 from 1244 and 1330, 71069 from 1459 and 1550) 5 is 20 times
+#: less likely than 7. The first 90 of these alone would have it the other way round.
 OTHER = 0.03
-TEMPER = 5.0
+TEMPER = 7.0
 #: By this share of what it does a law may miss what a machine does; deviance goes with the square.
 LAX = 0.05
 #: What a unit is worth where the slopes of all rivals have run away: as little as where a motor rattles without end.
