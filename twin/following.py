@@ -26,8 +26,8 @@ FloatArray = NDArray[np.float64]
 TORQUES = ("load", "shaft", "drag", "grip")
 #: Share of the largest speed below which an axis might as well rest: dry friction then is as large as it must be.
 _SLOW = 0.03
-#: Length of what is averaged and of what is left out in turn, s, and in how many turns.
-_AVERAGE, _STRETCH, _TURNS = 0.02, 1.0, 8
+#: What a regression reads, the length of what it leaves out in turn, s, and in how many turns.
+_READ, _STRETCH, _TURNS = ("torque", "position", "velocity", "input", "time"), 1.0, 8
 #: Share that a law has to foretell of the missing torque that the base could do nothing about.
 LEAST = 0.05
 #: Share of the travel at either end, and time before and after it, s, in which a stop may act.
@@ -56,14 +56,8 @@ class Follower:
 
 def _moving(missing: Missing) -> dict[str, FloatArray]:
     """Torque and states (N,) in averages, where all of them are known and the axis moves."""
-    width = max(round(_AVERAGE / missing.step), 1)
-    count = len(missing.time) // width
-    columns = {
-        "torque": missing.torque, "position": missing.position, "velocity": missing.velocity, "time": missing.time,
-        "command": missing.command,
-    }  # fmt: skip
-    means = {n: c[: count * width].reshape(count, width).mean(axis=1) for n, c in columns.items()}
-    known = np.isfinite(np.array(list(means.values()))).all(axis=0)
+    means = missing.averages()
+    known = np.isfinite(np.array([means[n] for n in _READ])).all(axis=0)
     speed = np.abs(means["velocity"])
     moving = known & (speed > _SLOW * float(speed[known].max(initial=0.0)))
     return {n: c[moving] for n, c in means.items()} | {"direction": np.sign(means["velocity"][moving])}
@@ -78,7 +72,7 @@ def _sizes(base: Structure, effect: str) -> list[tuple[str, str]]:
 
 def _own(states: Mapping[str, FloatArray]) -> FloatArray:
     """What gain, both sides of the dead-band and viscous friction add to the torque, per unit (N, 4)."""
-    command = states["command"]
+    command = states["input"]
     return np.stack([command, command > 0.0, command < 0.0, states["velocity"]], axis=1).astype(float)
 
 
@@ -183,7 +177,7 @@ def followers(cases: Sequence[Case], base: Point, candidates: Sequence[str]) -> 
         return []
     torque, turn = states["torque"], (states["time"] / _STRETCH).astype(np.intp) % _TURNS
     # What is transmitted as far as the base knows: what is missing moves the axis, too, and would follow itself.
-    states["transmitted"] = base.values["input_gain"] * states["command"]
+    states["transmitted"] = base.values["input_gain"] * states["input"]
     trials = screening.grids(mine, base.structure, base.values)
     own = _own(states)
     alone, _ = _foretold(own, torque, turn)

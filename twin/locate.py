@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 
 #: Memory of the filter that reads the missing torque, s: short enough to see an edge, long enough to beat the count.
 MEMORY = 0.04
+#: Length of the averages in which it is regressed and laid out in tables, s.
+AVERAGE = 0.02
 _BLOCKS = 20
 
 
@@ -68,6 +70,20 @@ class Missing:
         }
         chosen: FloatArray = table[variable]
         return chosen
+
+    def averages(self) -> dict[str, FloatArray]:
+        """Torque and states, each averaged over `AVERAGE` (M,); NaN where any of what is averaged is."""
+        width = max(round(AVERAGE / self.step), 1)
+        count = len(self.time) // width
+        columns = {
+            "torque": self.torque,
+            "position": self.position,
+            "velocity": self.velocity,
+            "acceleration": self.acceleration,
+            "input": self.command,
+            "time": self.time,
+        }
+        return {n: c[: count * width].reshape(count, width).mean(axis=1) for n, c in columns.items()}
 
 
 VARIABLES = ("position", "velocity", "direction", "acceleration", "input", "time")

@@ -29,8 +29,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 
 _TURN = 2.0 * math.pi
-#: Length of the averages on which the tables are made, and of the stretches held out or given a sign, s.
-_AVERAGE = 0.02
+#: Length of the stretches held out or given a sign, s.
 _STRETCH = 0.25
 _FOLDS = 10
 _DRAWS = 199
@@ -103,21 +102,11 @@ _MEANS: Mapping[str, tuple[str, ...]] = {
 
 
 def _averages(missing: Missing) -> dict[str, FloatArray]:
-    """Torque and states, averaged over `_AVERAGE`; stretches with unread torque are left out."""
-    width = max(round(_AVERAGE / missing.step), 1)
-    count = len(missing.time) // width
-    columns = {
-        "torque": missing.torque,
-        "position": missing.position,
-        "velocity": missing.velocity,
-        "acceleration": missing.acceleration,
-        "input": missing.command,
-        "time": missing.time,
-    }
-    means = {n: c[: count * width].reshape(count, width).mean(axis=1) for n, c in columns.items()}
+    """Torque and states in averages, and the way since the last reversal; stretches with unread torque are left out."""
+    means = missing.averages()
     velocity = means["velocity"]
     turned = np.flatnonzero(np.diff(np.sign(velocity), prepend=np.sign(velocity[0])) != 0)
-    last = np.concatenate([[0], turned])[np.searchsorted(turned, np.arange(count), "right")]
+    last = np.concatenate([[0], turned])[np.searchsorted(turned, np.arange(len(velocity)), "right")]
     means["since"] = (means["position"] - means["position"][last]) * np.sign(velocity)
     ok = np.isfinite(means["torque"])
     return {n: m[ok] for n, m in means.items()}
@@ -395,7 +384,7 @@ def _where_judged(case: Case, missing: Missing) -> Missing:
     nothing and would be thrown anywhere. All of it where too few are judged for a curve.
     """
     torque = np.where(case.passed_over, np.nan, missing.torque)
-    enough = np.count_nonzero(np.isfinite(torque)) * missing.step > KNOTS * _AVERAGE
+    enough = np.count_nonzero(np.isfinite(torque)) * missing.step > KNOTS * locate.AVERAGE
     return replace(missing, torque=torque) if enough else missing
 
 
