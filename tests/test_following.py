@@ -118,6 +118,31 @@ def test_noise_and_an_axis_at_rest_are_followed_by_nothing(monkeypatch):
     assert found(noise) == []
 
 
+def levels(forward: float, reverse: float) -> list[dict[str, float]]:
+    return asked(
+        lambda cases, base: following.levelled(base, CANDIDATES), COMMAND,
+        dead_band_forward=forward, dead_band_reverse=reverse,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("forward", "reverse"), [(0.0, 9.0), (8.0, 0.2)])
+def test_where_one_dead_band_has_gone_a_constant_torque_begins_at_what_they_differ_by(forward, reverse):
+    places = levels(forward, reverse)
+    assert [p["shaft_share"] for p in places] == [0.0, 1.0]
+    pushing = COMMAND[np.abs(COMMAND) > 10.0]
+    pushed = 0.4 * np.where(pushing > 0.0, pushing - forward, pushing + reverse)
+    for p in places:
+        equal = p["dead_band_forward"]
+        assert p["dead_band_reverse"] == equal
+        levelled = 0.4 * np.where(pushing > 0.0, pushing - equal, pushing + equal) + p["offset"]
+        np.testing.assert_allclose(levelled, pushed, atol=1e-9)
+
+
+@pytest.mark.parametrize(("forward", "reverse"), [(3.0, 9.0), (0.0, 0.0)])
+def test_a_drive_with_dead_bands_on_both_sides_or_none_needs_no_constant_torque(forward, reverse):
+    assert levels(forward, reverse) == []
+
+
 def test_a_drive_that_a_fit_took_for_none_is_seen_where_the_axis_moves_freely():
     """Where it is held, by stops at both ends here, a torque of any size is missing."""
     pushes = np.where(COMMAND > 0.0, 0.4 * np.maximum(COMMAND - 5.0, 0.0), 0.4 * np.minimum(COMMAND + 4.0, 0.0))

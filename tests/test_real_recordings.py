@@ -46,6 +46,9 @@ def test_only_what_such_recordings_can_show_is_offered() -> None:
     assert "gravity" in several and not {"load_change", "periodic_disturbance"} & set(several)
     short = screening.offered(made("rad", 1, swing=0.3), CANDIDATES)
     assert "gravity" in short and "encoder_eccentricity" not in short
+    assert "position_dependent_friction" in short, "it turns with the motion over a tenth of a turn, too"
+    shorter = screening.offered(made("rad", 1, swing=0.2), CANDIDATES)
+    assert "gravity" in shorter and "position_dependent_friction" not in shorter
     third = screening.offered(made("rad", 1, swing=1.0), CANDIDATES)
     assert {"encoder_eccentricity", "position_dependent_friction"} <= set(third)
     speeds = screening.offered(made("rad/s", 2), CANDIDATES)

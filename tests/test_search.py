@@ -173,7 +173,7 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
         ("spring", "spring_rest", 5.0, 50.0),
         ("joint_elasticity", "motor_share", 0.3, 0.02),
         ("joint_elasticity", "motor_share", 0.9, 0.98),
-        ("joint_elasticity", "joint_damping", 0.6, 0.8),
+        ("joint_elasticity", "joint_damping", 0.45, 0.6),
         ("stribeck_friction", "stribeck_velocity", 0.2, likelihood.bounds_of("stribeck_velocity")[0]),
         ("stribeck_friction", "stribeck_velocity", 2e-3, 5e-4),  # two counts, and half of one, in a tenth of a second
         ("motor_lag", "lag_time", 0.0012, 0.0008),  # more and less than half the time between two readings

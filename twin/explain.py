@@ -174,10 +174,16 @@ def _following(
 ) -> list[Hypothesis]:  # fmt: skip
     """The candidates that follow the missing torque best, fitted from where they do, on either side of the gap."""
     best = following.followers(cases, base, candidates)[:FOLLOWING]
-    begun = [(f, {**place, **held}) for f in best for place in f.places]
+    begun = [(f.effect, f.structure, place) for f in best for place in f.places]
+    longer = base.structure.with_("constant_offset")
+    begun += [("constant_offset", longer, place) for place in following.levelled(base, candidates)]
+
+    def fitted(start: tuple[str, Structure, dict[str, float]]) -> Hypothesis:
+        effect, structure, place = start
+        return Hypothesis((effect,), valleys.settle(cases, structure, {**place, **held}, held, base.density))
+
     with ThreadPoolExecutor(2) as pool:
-        fits = pool.map(lambda b: valleys.settle(cases, b[0].structure, b[1], held, base.density), begun)
-        found = [Hypothesis((f.effect,), point) for (f, _), point in zip(begun, fits, strict=True)]
+        found = list(pool.map(fitted, begun))
     # Where a regression sends the drive to sleep no model runs.
     return [h for h in found if math.isfinite(h.deviance)]
 

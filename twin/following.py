@@ -38,6 +38,8 @@ ASTRAY = 3.0
 _LEAST_GAIN = 1e-9
 #: Averages of a moving axis that are too few to say anything.
 _SEEN = 50
+#: A dead-band that is less than this share of the other side's is one that a drive hardly has.
+_ONE_SIDED = 0.1
 #: Phase by which a law is moved to see how it goes with it.
 _MOVED = 1e-4
 
@@ -138,6 +140,31 @@ def _places(
         if (place := screening.inside(place)) not in places:
             places.append(place)
     return tuple(places)
+
+
+def level(values: Mapping[str, float]) -> dict[str, float]:
+    """Dead-bands that are equal, and the constant torque that does as much as these differ by: as long as the drive
+    pushes, both do the same.
+    """
+    ahead, behind = values["dead_band_forward"], values["dead_band_reverse"]
+    equal = dict.fromkeys(("dead_band_forward", "dead_band_reverse"), 0.5 * (ahead + behind))
+    return equal | {"offset": 0.5 * (behind - ahead) * values["input_gain"]}
+
+
+def levelled(base: Point, candidates: Sequence[str]) -> list[dict[str, float]]:
+    """Values at which a constant torque does what the base's dead-bands differ by, if one of them has nearly gone and
+    cannot do more; on the link and on the motor where that is open.
+
+    No slope leads there, and in the missing torque it looks as the dead-bands do.
+    """
+    sides = ("dead_band_forward", "dead_band_reverse")
+    least, most = sorted(base.values.get(n, 0.0) for n in sides)
+    if "constant_offset" not in candidates or not set(sides) <= set(base.free) or least >= _ONE_SIDED * most:
+        return []
+    structure = base.structure.with_("constant_offset")
+    known = ready.completed(structure, {**base.values, **level(base.values)})
+    open_ = [n for n in ("shaft_share",) if n in known and n not in base.values]
+    return [{**known, **dict.fromkeys(open_, share)} for share in ((0.0, 1.0) if open_ else (0.0,))]
 
 
 def freed(cases: Sequence[Case], base: Point) -> Point | None:

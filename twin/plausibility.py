@@ -31,8 +31,9 @@ OFF_CENTRE = 0.1
 RUBS = 0.25
 #: Share of a recording at its beginning and its end that is too little to know a load by.
 BESIDE = 0.05
-#: Damping ratio from which on nothing resonates: what then passes from motor to link is only late, as in a lag.
-STILL = math.sqrt(0.5)
+#: Damping ratio from which on a joint amplifies no frequency by more than 1 / (2 z sqrt(1 - z^2)), a sixth: what then
+#: passes from motor to link is late, as in a lag, rather than ringing. Couplings and gears have a tenth of it.
+STILL = 0.5
 #: What moves by less than a count in this time, s, might as well rest.
 CREEPS = 0.1
 #: A stop, or friction before it slides, gives way by no larger share of the travel.

@@ -163,10 +163,10 @@ DIRECT = ("drive_saturation", "motor_lag", "input_delay", "end_stop", "joint_ela
 
 #: Candidates that repeat with a full turn: a linear axis has none.
 _TURNING = ("gravity", "position_dependent_friction", "encoder_eccentricity")
-#: Of these, the ones that only a curve over the angle tells from other physics; gravity is known by its angle of rest.
-_BENDING = ("position_dependent_friction", "encoder_eccentricity")
-#: Travel from which on a wave of one turn is seen to bend, rad.
-_BEND = 0.5 * math.pi
+#: Travel from which on a wave of one turn is told from other physics, rad. An encoder off centre is so only by a wave
+#: that is seen to bend; friction turns with the motion, as nothing else that goes with the angle does, and gravity is
+#: known by its angle of rest.
+_TOLD = {"encoder_eccentricity": 0.5 * math.pi, "position_dependent_friction": 0.5}
 #: Candidates that happen at a moment of their own: not at the same one of several recordings.
 _MOMENTARY = ("load_change", "periodic_disturbance")
 
@@ -181,8 +181,9 @@ def offered(cases: Sequence[Case], candidates: Sequence[str]) -> list[str]:
     out: set[str] = set()
     if first.output_unit.startswith("m"):
         out.update(_TURNING)
-    if not first.is_speed and max(float(np.nanmax(y) - np.nanmin(y)) for y in readings) < _BEND:
-        out.update(_BENDING)
+    if not first.is_speed:
+        travel = max(float(np.nanmax(y) - np.nanmin(y)) for y in readings)
+        out.update(e for e, least in _TOLD.items() if travel < least)
     if len(cases) > 1:
         out.update(_MOMENTARY)
     if first.is_speed:

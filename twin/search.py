@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
-from twin import ascent, compare, explain, likelihood, meetings, ready, screening, valleys
+from twin import ascent, compare, explain, following, likelihood, meetings, ready, screening, valleys
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.effects.end_stop import NOWHERE
@@ -345,8 +345,7 @@ def _levelled(cases: Sequence[Case], last: Point, candidates: Sequence[str]) -> 
     known, differ = last.robust_covariance, last.values[sides[1]] - last.values[sides[0]]
     if differ**2 < CERTAIN**2 * (known[one, one] + known[other, other] - 2.0 * known[one, other]):
         return []
-    longer, mean = last.structure.with_("constant_offset"), 0.5 * (last.values[sides[0]] + last.values[sides[1]])
-    equal = dict.fromkeys(sides, mean) | {"offset": 0.5 * differ * last.values["input_gain"]}
+    longer, equal = last.structure.with_("constant_offset"), following.level(last.values)
     mine, begun = ready.with_steps(cases, longer), ready.completed(longer, last.values | equal)
     new = [n for n in ("shaft_share",) if n in begun and n not in last.values]
     shafts = [dict.fromkeys(new, share) for share in ((0.0, 1.0) if new else (0.0,))]
