@@ -146,14 +146,15 @@ class Trip:
         return _size(found.fun)
 
 
-def unabsorbed(trip: Trip, rig: Any, effects: Sequence[Concealed]) -> float:
-    """What the effects change over what noise does, where the rig's `own` numbers are chosen anew without them.
+def unabsorbed(trip: Trip, rig: Any, effects: Sequence[Concealed], beside: Sequence[Concealed] = ()) -> float:
+    """What the effects change over what noise does, where the rig's `own` numbers, and those of what is there beside
+    them, are chosen anew without them.
 
     A gain that is smaller does most of what a supply does that gives way, and only what it does not do is left for a
-    first model to show.
+    first model to show. And beside a torque that keeps the axis away from it a stop does nothing.
     """
-    carriers = _carriers(effects)
-    return trip.least(rig, trip.travel(rig, effects, trip.seed), carriers, ()) / trip.noise(rig, carriers)
+    carriers, changed = _carriers(effects), trip.travel(rig, [*effects, *beside], trip.seed)
+    return trip.least(rig, changed, carriers, beside) / trip.noise(rig, [*carriers, *beside])
 
 
 def unanswered(trip: Trip, rig: Any, effects: Sequence[Concealed], answers: Sequence[Sequence[Concealed]]) -> float:

@@ -95,6 +95,20 @@ def test_what_is_left_is_that_of_a_linear_oracle() -> None:
         assert unabsorbed(trip, Rig(), planted) == pytest.approx(want, rel=1e-3, abs=1e-6)
         assert unanswered(trip, Rig(), planted, [no_help]) == pytest.approx(want, rel=1e-3, abs=1e-6)
         assert unanswered(trip, Rig(), planted, [no_help, helps]) == pytest.approx(0.0, abs=1e-6)
+        assert unabsorbed(trip, Rig(), planted, beside=helps) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_of_two_the_one_may_keep_the_axis_from_the_other() -> None:
+    rig = circuit_rig.draw_rig(np.random.default_rng(2))
+    time, duty = EXCITATIONS["square"](8.0, np.random.default_rng(1), FREE)
+    trip = Trip(circuit_rig.simulate, time, duty, 7)
+    reached = float(trip.simulate(rig, [], time, duty, 7).position.max())
+    stiff = {"stop_stiffness": 400.0 * rig.half_torque, "stop_damping": 4.0 * rig.half_torque}
+    stop = Concealed("end_stop", {"stop_upper": 0.8 * reached, **stiff})
+    held = Concealed("constant_offset", {"offset_link": -0.5 * rig.half_torque})
+    assert unabsorbed(trip, rig, [stop]) > 3.0
+    assert float(trip.simulate(rig, [held], time, duty, 7).position.max()) < 0.8 * reached
+    assert unabsorbed(trip, rig, [stop], beside=[held]) < 0.1
 
 
 def test_a_carrier_grows_with_what_it_carries() -> None:
