@@ -480,6 +480,18 @@ def test_errors_of_a_replay_ignore_what_was_left_out(made):
     assert package.replay(made["simple"], speed, (0.2, 0.0)).rmse(speed) == pytest.approx(0.5, rel=1e-6)
 
 
+def test_an_encoder_off_centre_begins_where_it_reads_what_was_read(tmp_path):
+    model = model_of(SIMPLE.with_("encoder_eccentricity"), eccentricity=0.03, eccentricity_angle=-1.2)
+    fmu = package.export(model, tmp_path / "off_centre.fmu")
+    recording = recording_of(model, np.arange(500) * PERIOD, command(500))
+    seen = package.replay(fmu, recording, (0.4, 0.0))
+    assert seen.position_measured[0] - 0.4 > 0.02
+    read = dataclasses.replace(recording, output=seen.position_measured, resolution=1e-9)
+    again = package.replay(fmu, read)
+    assert again.position_measured[0] == pytest.approx(seen.position_measured[0], abs=1e-4)
+    assert again.rmse(read) < 1e-3
+
+
 def test_the_start_is_read_off_the_recording():
     rng = np.random.default_rng(3)
     time = np.arange(500) * 0.002

@@ -131,6 +131,8 @@ HUMP = {
         ("spring", "unknown_position", CURVE, "position"),
         ("quadratic_drag", "quadratic_drag", {"quadratic_drag": 0.05}, None),
         ("quadratic_drag", "unknown_velocity", HUMP, "velocity"),
+        ("encoder_eccentricity", "encoder_eccentricity", {"eccentricity": 0.01, "eccentricity_angle": 1.0}, None),
+        ("encoder_eccentricity", "unknown_gain", {"unknown_gain_sin_1": 0.08, "unknown_gain_cos_1": -0.05}, "gain"),
     ],
 )
 def test_a_name_stays_unless_its_law_is_not_what_is_there(effect, truth, values, variable):

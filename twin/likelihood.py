@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-from twin import kernel
+from twin import kernel, sensing
 from twin.axis import EVERYTHING, STATES, Structure
 from twin.kernel import INDEX, Drive, Noise
 from twin.loop import own_loop
@@ -79,7 +79,7 @@ class Case:
     drive: Drive
     reading_variance: float  # of one reading, output unit squared
     contact: float  # where in the gap the motor starts: -1, 0 or 1
-    start: tuple[float, float]  # position and velocity
+    start: tuple[float, float]  # what is read of the position, and the velocity
     free: NDArray[np.bool_] | None = None  # (N,) where the model runs freely and only that is judged; None: nowhere
     unforeseen: NDArray[np.bool_] | None = None  # (N,) readings that are followed but not judged; None: none
     rattling: NDArray[np.bool_] | None = None  # (N,) the same, where motor and link come to no rest; None: nowhere
@@ -302,10 +302,16 @@ class Point:
         return bool(len(traced)) and float(np.median(traced)) < CHAOS
 
 
-def _start(case: Case, p: FloatArray, free: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-    gap = 0.5 * case.contact
-    x = kernel.start_state(*case.start, gap * p[INDEX["backlash_gap"]])
+def _start(
+    case: Case, structure: Structure, values: Mapping[str, float], free: Sequence[str]
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """The states at the start and their derivatives (states, n): it begins where its sensor reads what was read."""
+    gap, (reading, velocity) = 0.5 * case.contact, case.start
+    begins = sensing.position(structure, values, reading)
+    x = kernel.start_state(begins, velocity, gap * values.get("backlash_gap", 0.0))
     slope = np.zeros((len(STATES), len(free)))
+    for name in set(sensing.parameters(structure)).intersection(free):
+        slope[0, free.index(name)] = sensing.slope(structure, values, reading, name)
     if "backlash_gap" in free:
         slope[2, free.index("backlash_gap")] = gap
     return x, slope
@@ -378,7 +384,7 @@ def pieces(
     # Where an edge of the command falls on a stamp the delay has a kink: it is looked at from just behind.
     p[INDEX["delay"]] += _BEHIND
     noise = noise_for(case, density)
-    x, slope = _start(case, p, free)
+    x, slope = _start(case, structure, values, free)
     drive = case.drive
     if case.free is not None:
         drive = replace(drive, measured=np.where(case.free, np.nan, drive.measured))
@@ -402,7 +408,7 @@ def pieces(
 def states(case: Case, structure: Structure, values: Mapping[str, float], density: float) -> kernel.Prediction:
     """The case run through the predictor, with the state (N, states) at each stamp."""
     p = kernel.vector(structure, dict(values))
-    x, _ = _start(case, p, ())
+    x, _ = _start(case, structure, values, ())
     return kernel.predict(case.drive, p, x, noise_for(case, density), keep_states=True)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmu_src import pack
-from twin import compilers, description
+from twin import compilers, description, sensing
 from twin.archive import Fmu, open_fmu
 from twin.axis import KNOWN
 from twin.errors import BadInput
@@ -226,13 +226,14 @@ def replay(
 
     `closed` closes the rig's own loop around the FMU instead: the input is what that commands, from the recorded
     reference and what the FMU's sensor reads, in steps as short as the loop's. `start` is position and velocity at the
-    first stamp, from the recording's first readings where not given. Known quantities of the recording are set.
+    first stamp; where not given, those at which what was read first is read, by the sensor of the FMU's model. Known
+    quantities of the recording are set.
     A duty drives in proportion to the supply where that is logged, by the nominal one that the FMU's model knows.
     Raises BadInput where the FMU refuses or its results are NaN.
     """
     opened = open_fmu(fmu)
-    ours = "supply" in recording.optional and _MODEL in opened.members
-    recording = driven(as_told(recording, read_model(fmu).known if ours else {}))
+    model = read_model(fmu) if _MODEL in opened.members else None
+    recording = driven(as_told(recording, model.known if model and "supply" in recording.optional else {}))
     shown = opened.description.findall("ModelVariables/*")
     names = {node.get("name") for node in shown}
     inputs = [node.get("name", "") for node in shown if node.get("causality") == "input"]
@@ -240,7 +241,11 @@ def replay(
         raise BadInput(f"{fmu} has {len(inputs)} inputs, not one: give an FMU that twin export wrote")
     units = {name: unit for unit, name in INPUT_NAMES.items()}
     check_units(recording, str(fmu), units.get(inputs[0], ""), opened.unit("position"))
-    position, velocity = start_of(recording) if start is None else start
+    if start is None:
+        position, velocity = start_of(recording)
+        position = sensing.position(model.structure, model.values, position) if model else position
+    else:
+        position, velocity = start
     values = {"position_start": float(position), "velocity_start": float(velocity)}
     values |= {name: float(value) for name, value in recording.known.items() if name in KNOWN and name in names}
     loop = own_loop(recording) if closed else None

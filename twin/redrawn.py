@@ -4,7 +4,8 @@ A spring that stiffens has no page. Over a short travel a spring describes most 
 stands on its head a spring of its strength leaves k (x - sin x), nearly k x^3 / 6, and describes it with gravity. So
 what a model names over the position, and over the speed, is held against a curve over it. Friction whose bristles
 bend before they slide goes with the way since the last reversal, which no curve over a state of motion follows; most
-of it is dry friction, which is held against it.
+of it is dry friction, which is held against it. And where a motor's gain goes with its turn the axis swings about its
+way as an encoder off centre shows it.
 """
 
 from __future__ import annotations
@@ -143,6 +144,26 @@ def giving(cases: Sequence[Case], first: Structure, last: Point) -> Redrawn | No
     return Redrawn(ids, bent, says)
 
 
+def turning(cases: Sequence[Case], first: Structure, last: Point) -> Redrawn | None:
+    """A motor whose gain goes with the angle in the place of an encoder off centre that the last model names: each by
+    one wave a turn, so that the likelier is the better; None where there is none, or the gain is not likelier.
+    """
+    ids = tuple(i for i in ("encoder_eccentricity",) if i in last.structure and i not in first)
+    if not ids:
+        return None
+    sketched = unknown.sketch(cases, _bare(last, ids), unknown.Term("gain"))
+    wave = unknown.finish(cases, unknown.one_wave(sketched))
+    better = compare.ahead(wave, last)
+    if better < compare.LEAST or not plausible(cases, wave, last):
+        return None
+    says = (
+        f"{_titles(ids)} would fit in part, but a motor whose gain goes with the angle, which is more than a name of "
+        f"the list says, fits better by {better:.0f} units of deviance with as many numbers, where "
+        f"{compare.LEAST:.0f} would do."
+    )
+    return Redrawn(ids, wave, says)
+
+
 def _torques(ids: Sequence[str], point: Point, at: FloatArray, variable: str = "position") -> FloatArray:
     """The torque (effects, values) of each at each value of the variable that they follow from."""
     return np.array([equations.along(i, {variable: at}, point.values) for i in ids])
@@ -183,7 +204,8 @@ def redrawn(cases: Sequence[Case], first: Structure, last: Point) -> Redrawn | N
     variables = [v for v in SLOTS if not (cases[0].drive.speed and v == "position")]
     pieces = one_curve(cases, first, last) if "position" in variables else None
     curves = [outdone(cases, first, last, v) for v in variables] if pieces is None else [pieces]
-    found = [r for r in (*curves, giving(cases, first, last)) if r is not None]
+    tried = (*curves, giving(cases, first, last), turning(cases, first, last))
+    found = [r for r in tried if r is not None]
     best: Redrawn | None = min(found, key=lambda r: r.curve.deviance, default=None)
     if best is None:
         return None

@@ -426,6 +426,17 @@ def sketch(cases: Sequence[Case], base: Point, term: Term) -> Point:
     return likelihood.evaluate(mine, structure, values, base.density, free)
 
 
+def one_wave(sketched: Point) -> Point:
+    """The sketch of a term of waves with the first of them alone, once a turn: as many numbers as an effect has that
+    repeats so.
+    """
+    (term,) = (i for i in sketched.structure.ids if i.removeprefix("unknown_") in _WAVES)
+    mine = {p.name for p in EFFECTS[term].parameters if p.name in sketched.free}
+    first = {n for n in mine if n.endswith("_1")}
+    values = {**sketched.values, **dict.fromkeys(mine - first, 0.0), f"{term}_order": 1.0}
+    return replace(sketched, values=values, free=tuple(n for n in sketched.free if n not in mine - first))
+
+
 def finish(cases: Sequence[Case], sketched: Point) -> Point:
     """The maximum from a sketch."""
     mine = ready.with_steps(cases, sketched.structure)
