@@ -7,7 +7,8 @@ The study calls an effect visible that changes how an axis travels by three time
 gives way may be a smaller gain, and a constant torque dead-bands that differ: what a first model takes over leaves no
 error, and nobody can find it in one; and of two the one may keep the axis from where the other would show. So for each
 visible effect the simulator itself is asked for the gain, friction, dead-bands, gap and shares, and the numbers of the
-other effect, with which the rig, without the effect, comes nearest to what it does with it (`concealed.unabsorbed`); what is then left, over what noise leaves, is printed, and the study's tables with it. Where
+other effect, with which the rig, without the effect, comes nearest to what it does with it (`concealed.unabsorbed`);
+what is then left, over what noise leaves, is printed, and the study's tables with it. Where
 the answer was not what is there, the simulator is asked, too, how near the rig comes with what was named in its place,
 at any size (`concealed.unanswered`): an answer that leaves as little as noise does is not to be told from the truth by
 how the axis travels. The tool has no part in this. Trials that the second file has already are not computed again.
