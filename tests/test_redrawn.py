@@ -244,3 +244,25 @@ def test_friction_that_gives_takes_the_place_of_dry_friction(truth, values, firs
     assert (found is not None) is bent
     if found is not None:
         assert found.ids == ("coulomb_friction",) and found.curve.structure == STRUCTURE.with_("unknown_bend")
+
+
+@pytest.mark.parametrize(
+    ("truth", "values", "bent"),
+    [
+        (("unknown_bend",), {"unknown_bend_level": 1.0, "unknown_bend_give": 0.01}, True),
+        (("coulomb_friction", "load_dependent_friction"), {"coulomb_friction": 1.0, "load_friction": 0.15}, False),
+    ],
+    ids=["gives", "holds"],
+)
+def test_one_friction_that_gives_is_likelier_than_two_kinds_that_do_as_well(monkeypatch, truth, values, bent):
+    """Even if it shows no better than they do."""
+    monkeypatch.setattr(redrawn.explain, "shows", lambda cases, before, after: False)
+    dry = STRUCTURE.with_("coulomb_friction", "load_dependent_friction")
+    cases = [likelihood.prepare(recorded(STRUCTURE.with_(*truth), 25.0, **values), dry)]
+    begin = ready.completed(dry, VALUES | {"coulomb_friction": 0.5, "load_friction": 0.1})
+    last = likelihood.fit(cases, dry, begin, ready.free_parameters(dry))
+    found = redrawn.giving(cases, STRUCTURE, last)
+    assert (found is not None) is bent
+    if found is not None:
+        assert set(found.ids) == {"coulomb_friction", "load_dependent_friction"}
+        assert found.curve.structure == STRUCTURE.with_("unknown_bend")

@@ -20,12 +20,13 @@ from mujoco_rig import TURN, draw_rig, simulate
 
 from twin import compare, extend, finding, identify, kernel, likelihood, phrases, report, search, valleys
 from twin.axis import BASE, Structure
+from twin.compare import UNSURE
 from twin.explain import Hypothesis, Round
 from twin.finding import Diagnosis, Fitness
 from twin.likelihood import Point
 from twin.recording import Recording
 from twin.report import Story
-from twin.search import UNSURE, Search, Swap
+from twin.search import Search, Swap
 
 
 def slow(seconds: float, most: float, top: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -122,11 +123,11 @@ def test_a_curve_in_the_place_of_a_name_takes_its_place_in_the_ranking():
 def test_what_one_name_explains_about_as_well_as_two_is_the_one():
     """While it slides, friction that is larger one way is friction and a constant torque."""
     two, one = point(1000.0, "coulomb_friction", "constant_offset"), point(1000.0, "friction_asymmetry")
-    assert search.behind(one, two) == -UNSURE == -search.behind(two, one)
+    assert compare.behind(one, two) == -UNSURE == -compare.behind(two, one)
     clear = point(1000.0 + 2.0 * UNSURE, "friction_asymmetry")
-    assert search.behind(clear, two) == UNSURE == -search.behind(two, clear)
+    assert compare.behind(clear, two) == UNSURE == -compare.behind(two, clear)
     # Each other exchange is one name for one.
-    assert search.behind(point(1005.0, "gravity"), point(1000.0, "spring")) == 5.0
+    assert compare.behind(point(1005.0, "gravity"), point(1000.0, "spring")) == 5.0
     found = Search(point(9000.0), one, (), (), (point(9000.0),), (Swap("friction_asymmetry", "constant_offset", two),))
     given = extend._probabilities(found)[0]["friction_asymmetry"] / (1.0 - compare.OTHER)
     assert given == pytest.approx(1.0 / (1.0 + np.exp(-UNSURE / (2.0 * compare.TEMPER))))

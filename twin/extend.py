@@ -37,7 +37,7 @@ from twin.loop import own_loop
 from twin.model import Model
 from twin.plausibility import plausible
 from twin.recording import Recording, to_fit
-from twin.search import UNSURE, Progress, Search
+from twin.search import Progress, Search
 from twin.unknown import TERMS, Term
 from twin.writers import latex
 
@@ -125,7 +125,7 @@ def _undecided(found: Search) -> tuple[Undecided, ...]:
     out = []
     for swap in found.swaps:
         one, two = swap.effect, swap.rival
-        if compare.ahead(found.last, swap.point) < UNSURE:
+        if compare.ahead(found.last, swap.point) < compare.UNSURE:
             text = EFFECTS[one].confused_with.get(two) or EFFECTS[two].confused_with.get(one)
             text = text or "a richer recording: several amplitudes, coast-downs, slow ramps"
             out.append(Undecided((one, two), (named[one], dict(ranking)[two]), text))
@@ -300,8 +300,8 @@ def _lasting(found: Search, first: Structure) -> tuple[Search, tuple[list[Case],
 def _next(found: Search) -> Experiment:
     """The input that would tell the closest rivals apart, or fix what is known worst."""
     cases = ready.with_steps(found.cases, found.last.structure)
-    close = [w.point for w in found.swaps if compare.ahead(found.last, w.point) < UNSURE]
-    near = sorted(close, key=lambda p: search.behind(p, found.last))[:1]
+    close = [w.point for w in found.swaps if compare.ahead(found.last, w.point) < compare.UNSURE]
+    near = sorted(close, key=lambda p: compare.behind(p, found.last))[:1]
     try:
         return experiment.separate([found.last, *near], cases)
     except (BadInput, np.linalg.LinAlgError) as error:

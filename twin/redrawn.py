@@ -134,12 +134,16 @@ def giving(cases: Sequence[Case], first: Structure, last: Point) -> Redrawn | No
         return None
     sketched = unknown.sketch(cases, _bare(last, ids), unknown.Term("bend"))
     bent = unknown.relocated(cases, unknown.finish(cases, sketched))
-    if not (plausible(cases, bent, last) and explain.shows(cases, last, bent)):
+    # What one thing does about as well as two kinds of friction do is more likely to be that one.
+    briefer = len(bent.structure.named) < len(last.structure.named)
+    speaks = compare.behind(bent, last) < -compare.LEAST if briefer else explain.shows(cases, last, bent)
+    if not (speaks and plausible(cases, bent, last)):
         return None
+    better = compare.earned(last, bent)
+    much = f"better by {better:.0f} units of deviance, where {compare.LEAST:.0f} would do"
     says = (
         f"{_titles(ids)} would fit in part, but friction that gives before it slides, which is more than a name of "
-        f"the list says, fits better by {compare.earned(last, bent):.0f} units of deviance, where "
-        f"{compare.LEAST:.0f} would do."
+        f"the list says, fits {'as well by itself' if briefer and better < compare.LEAST else much}."
     )
     return Redrawn(ids, bent, says)
 

@@ -23,8 +23,6 @@ Progress = Callable[[str, float], None]
 MOST = 4
 #: So often at most is more looked for after one effect has taken another's place.
 TURNS = 2
-#: Criteria that differ by less leave two explanations undecided: 82 % to 18 %.
-UNSURE = 3.0 * compare.TEMPER
 #: Dead-bands that differ by so many standard errors are not equal.
 CERTAIN = 3.0
 #: So often at most are meetings that a model foresees looked for, since another judgement moves the model.
@@ -54,15 +52,6 @@ class Search:
     cases: tuple[Case, ...]
     lesser: tuple[Point, ...] = ()
     swaps: tuple[Swap, ...] = ()
-
-
-def behind(rival: Point, last: Point) -> float:
-    """By how many units a rival is behind the last model, in criterion and brevity.
-
-    What one effect explains about as well as two do is more likely to be that one: each name costs what leaves two
-    explanations undecided.
-    """
-    return compare.ahead(last, rival) + UNSURE * (len(rival.structure.named) - len(last.structure.named))
 
 
 def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
@@ -196,8 +185,8 @@ def _weighed(
     """
     best, lesser = _pruned(cases, grown, begun, held)
     swaps = _swapped(cases, best, begun.structure, lesser, rounds, held)
-    better = min(swaps, key=lambda w: behind(w.point, best), default=None)
-    if better is None or behind(better.point, best) >= 0.0:
+    better = min(swaps, key=lambda w: compare.behind(w.point, best), default=None)
+    if better is None or compare.behind(better.point, best) >= 0.0:
         return best, lesser, swaps
     # The rival had lost beside what was still missing then; now it is the one that fits, and more may show.
     last, lesser = _pruned(cases, better.point, _likeliest(lesser, begun), held)
@@ -239,7 +228,7 @@ def shares(found: Search, effect: str) -> tuple[float, dict[str, float]]:
     """
     contest = contest_of(found.rounds, found.last.structure, effect)
     against = {h.added[0]: max(short, 0.0) for h, short in contest.rivals}
-    against |= {w.rival: behind(w.point, found.last) for w in found.swaps if w.effect == effect}
+    against |= {w.rival: compare.behind(w.point, found.last) for w in found.swaps if w.effect == effect}
     without = [compare.earned(q, found.last) for q in found.lesser if effect not in q.structure]
     own, *others = compare.weights([0.0, *against.values(), *([min(without)] if without else [])])
     return float(own), {rival: float(w) for rival, w in zip(against, others, strict=False)}
@@ -257,7 +246,7 @@ def _swapped(
     out = []
     for effect in last.structure.named:
         contest = contest_of(rounds, last.structure, effect)
-        margin = max(UNSURE, NARROW * contest.gain)
+        margin = max(compare.UNSURE, NARROW * contest.gain)
         for h, short in contest.rivals:
             if short < margin:
                 own, brought = h.point, last.structure.brought_by(effect, first)
@@ -267,10 +256,10 @@ def _swapped(
                 with ThreadPoolExecutor(2) as pool:
                     begun = itertools.product(others, starts)
                     tried = list(pool.map(lambda b: valleys.settle(cases, b[0], b[1], held, last.density), begun))
-                point = valleys.deepen(cases, min(tried, key=lambda p: behind(p, last)), held)
+                point = valleys.deepen(cases, min(tried, key=lambda p: compare.behind(p, last)), held)
                 # What stays behind takes no place, and needs no test: that something is there is known from the effect.
                 without = min((q for q in lesser if effect not in q.structure), key=lambda q: q.deviance)
-                stays = behind(point, last) >= 0.0
+                stays = compare.behind(point, last) >= 0.0
                 if plausible(cases, point, last) and (stays or explain.shows(cases, without, point)):
                     out.append(Swap(effect, h.added[0], point))
     return out
@@ -312,7 +301,7 @@ def _wider(
             begins = ({**last.values, more.gain: share * size}, {**last.values, **h.values})
             fits += [valleys.settle(cases, longer, v, held, last.density) for v in begins]
         found = min(fits, key=lambda p: p.deviance, default=None)
-        if found is not None and compare.ahead(last, found) < UNSURE and plausible(cases, found, last):
+        if found is not None and compare.ahead(last, found) < compare.UNSURE and plausible(cases, found, last):
             out.append(Swap(effect, other, found))
     return out
 
@@ -353,7 +342,8 @@ def _levelled(cases: Sequence[Case], last: Point, candidates: Sequence[str]) -> 
     fits = [likelihood.climb(mine, longer, begun | s, last.density, (*last.free, *new)) for s in shafts]
     found = min(fits, key=lambda p: p.deviance)
     level = abs(found.values[sides[1]] - found.values[sides[0]]) < 0.5 * abs(differ)
-    return [Swap("dead_band", "constant_offset", found)] if level and compare.ahead(last, found) < UNSURE else []
+    stands = level and compare.ahead(last, found) < compare.UNSURE
+    return [Swap("dead_band", "constant_offset", found)] if stands else []
 
 
 def _bettered(this: Round, found: Point) -> Round:
