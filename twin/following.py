@@ -161,10 +161,9 @@ def levelled(base: Point, candidates: Sequence[str]) -> list[dict[str, float]]:
     least, most = sorted(base.values.get(n, 0.0) for n in sides)
     if "constant_offset" not in candidates or not set(sides) <= set(base.free) or least >= _ONE_SIDED * most:
         return []
-    structure = base.structure.with_("constant_offset")
-    known = ready.completed(structure, {**base.values, **level(base.values)})
-    open_ = [n for n in ("shaft_share",) if n in known and n not in base.values]
-    return [{**known, **dict.fromkeys(open_, share)} for share in ((0.0, 1.0) if open_ else (0.0,))]
+    longer = base.structure.with_("constant_offset")
+    rows = screening.sided([level(base.values)], base.structure, base.values, "constant_offset")
+    return [ready.completed(longer, {**base.values, **row}) for row in rows]
 
 
 def freed(cases: Sequence[Case], base: Point) -> Point | None:

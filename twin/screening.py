@@ -140,10 +140,10 @@ def grids(
             for share in (0.15, 0.3, 0.45)
             for gap in (0.015 * lever, 0.04 * lever)
         ]
-    return {effect: _sided(rows, structure, values, effect) for effect, rows in out.items()}
+    return {effect: sided(rows, structure, values, effect) for effect, rows in out.items()}
 
 
-def _sided(
+def sided(
     rows: Sequence[dict[str, float]], structure: Structure, values: Mapping[str, float], effect: str
 ) -> list[dict[str, float]]:  # fmt: skip
     """The rows, each with the effect on the link and on the motor where that is open.

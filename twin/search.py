@@ -336,10 +336,10 @@ def _levelled(cases: Sequence[Case], last: Point, candidates: Sequence[str]) -> 
         return []
     longer, equal = last.structure.with_("constant_offset"), following.level(last.values)
     mine, begun = ready.with_steps(cases, longer), ready.completed(longer, last.values | equal)
-    new = [n for n in ("shaft_share",) if n in begun and n not in last.values]
-    shafts = [dict.fromkeys(new, share) for share in ((0.0, 1.0) if new else (0.0,))]
+    rows = screening.sided([equal], last.structure, last.values, "constant_offset")
+    free = (*last.free, *(n for n in rows[0] if n not in equal))
     # The torque is held where it levels the dead-bands; they stay about equal unless something else makes up for it.
-    fits = [likelihood.climb(mine, longer, begun | s, last.density, (*last.free, *new)) for s in shafts]
+    fits = [likelihood.climb(mine, longer, begun | row, last.density, free) for row in rows]
     found = min(fits, key=lambda p: p.deviance)
     level = abs(found.values[sides[1]] - found.values[sides[0]]) < 0.5 * abs(differ)
     stands = level and compare.ahead(last, found) < compare.UNSURE
