@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 #: A module of `twin` imports only names that stand before its own.
-ORDER = """errors tomlfile files style quantities words effects axis equations sensing model variables description
+ORDER = """errors cores tomlfile files style quantities words effects axis equations sensing model variables description
     writers lanes kernel faults rig formats manifest recording loop likelihood meetings ready startup ascent
     two_stage identify fitting locate compare plausibility screening following valleys foretold explain
     unknown redrawn finding experiment archive running compilers package native ssp search hold_out extend

@@ -13,7 +13,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +21,7 @@ from scipy.optimize import differential_evolution
 
 from twin import equations, likelihood, meetings, ready
 from twin.axis import Structure
+from twin.cores import each
 from twin.likelihood import Case, Point
 from twin.recording import Recording
 from twin.startup import start_values
@@ -144,8 +144,7 @@ def start(
     cases = ready.prepare(recordings, rigid)
     values = {**start_values(cases, rigid), **held}
     seen = glimpses(cases, rigid)
-    with ThreadPoolExecutor(2) as pool:
-        points = list(pool.map(lambda m: coarse(seen, rigid, values, held, m), MEMORIES))
+    points = each(lambda m: coarse(seen, rigid, values, held, m), MEMORIES)
     return choose_contacts(cases, rigid, points[0].values), points
 
 
@@ -226,8 +225,7 @@ def refine(cases: Sequence[Case], structure: Structure, begun: Sequence[Point], 
     free = tuple(n for n in ready.free_parameters(structure) if n not in held)
 
     def likeliest(starts: Iterable[dict[str, float]]) -> Point:
-        with ThreadPoolExecutor(2) as pool:
-            return min(pool.map(lambda v: _lengthened(seen, structure, v, free), starts), key=lambda p: p.deviance)
+        return min(each(lambda v: _lengthened(seen, structure, v, free), starts), key=lambda p: p.deviance)
 
     best = likeliest(ready.completed(structure, p.values) for p in begun)
     # Where the shortest memory is the best that there is, it is physics that is missing, not the right valley.

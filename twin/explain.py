@@ -19,14 +19,16 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from operator import call
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin import compare, following, identify, likelihood, meetings, ready, screening, valleys
 from twin.axis import Structure
+from twin.cores import each
 from twin.effects.catalogue import EFFECTS
 from twin.likelihood import Case, Point
 from twin.plausibility import plausible
@@ -80,12 +82,11 @@ def contest(cases: Sequence[Case], base: Point, candidates: Sequence[str]) -> li
     """The candidates that promise most beside the base, after a few steps; the best first."""
     mine = ready.with_steps(cases, base.structure)
     trials = screening.grids(mine, base.structure, base.values)
-    with ThreadPoolExecutor(2) as pool:
-        # What takes longest comes first, so that both threads end at about the same time.
-        longest = sorted(candidates, key=lambda e: -len(trials[e]))
-        entered = pool.map(lambda e: screening.enter(mine, base, e, trials[e]), longest)
-        entries = sorted(entered, key=lambda e: -e.promise)
-        fits = list(pool.map(lambda e: _climb(mine, base, e), entries[:SURVIVORS]))
+    # What takes longest comes first, so that both threads end at about the same time.
+    longest = sorted(candidates, key=lambda e: -len(trials[e]))
+    entered = each(lambda e: screening.enter(mine, base, e, trials[e]), longest)
+    entries = sorted(entered, key=lambda e: -e.promise)
+    fits = each(lambda e: _climb(mine, base, e), entries[:SURVIVORS])
     return sorted(fits, key=lambda h: h.deviance)
 
 
@@ -122,13 +123,22 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
     it. So none is asked that is shorter than it need be, and none for more than such a torque could do there: where
     that is too little to be preferred, half of it will do if the filter before was sure.
     """
-    if not compare.earns(before, after, max(identify.roughness(cases, before), identify.roughness(cases, after))):
+    if not compare.earns(before, after, max(each(partial(identify.roughness, cases), (before, after)))):
         return False
+    tests = (partial(test, cases, before, after) for test in (_shows_foreseen, _shows_faster))
+    return all(each(call, tests))
+
+
+def _shows_foreseen(cases: Sequence[Case], before: Point, after: Point) -> bool:
+    """Whether the larger model is preferred where only meetings of motor and link that it foresees are judged."""
     foreseen = meetings.foreseeable(ready.with_steps(cases, after.structure), after)
-    if any(c.unforeseen is not None for c in foreseen):
-        smaller, larger = _adapted(foreseen, before, after, before.density)
-        if not _still(smaller, larger):
-            return False
+    if all(c.unforeseen is None for c in foreseen):
+        return True
+    return _still(*_adapted(foreseen, before, after, before.density))
+
+
+def _shows_faster(cases: Sequence[Case], before: Point, after: Point) -> bool:
+    """Whether the larger model is preferred by filters that forget faster, as far as they can know."""
     memory = likelihood.memory_of(cases[0], before.density)
     smaller, larger, least = before, after, 0.0
     for shorter in (memory / times for times in FASTER):
@@ -156,17 +166,16 @@ def _adapted(cases: Sequence[Case], before: Point, after: Point, density: float)
         begun = {n: values.get(n, v) for n, v in point.values.items()}
         return likelihood.climb(mine, point.structure, begun, density, point.free, rounds=20, tolerance=0.2)
 
-    with ThreadPoolExecutor(2) as pool:
-        one, other = pool.map(lambda p: adapted(p, p.values), (before, after))
-        learned = list(pool.map(adapted, (before, after), (other.values, one.values)))
-        smaller, larger = (min(pair, key=lambda p: p.deviance) for pair in zip((one, other), learned, strict=True))
-        places = (smaller.values, {**nothing, **smaller.values})
-        nested = list(pool.map(lambda values: adapted(after, values), places))
+    both = (before, after)
+    reached = each(lambda p: adapted(p, p.values), both)
+    learned = each(lambda pair: adapted(pair[0], pair[1].values), zip(both, reached[::-1], strict=True))
+    smaller, larger = (min(pair, key=lambda p: p.deviance) for pair in zip(reached, learned, strict=True))
+    nested = each(lambda values: adapted(after, values), (smaller.values, {**nothing, **smaller.values}))
     return smaller, min(larger, *nested, key=lambda p: p.deviance)
 
 
-def _finish(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float], density: float) -> Hypothesis:
-    return Hypothesis(h.added, valleys.settle(cases, h.point.structure, h.point.values, held, density))
+def _finished(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float], density: float) -> list[Hypothesis]:
+    return [Hypothesis(h.added, valleys.settle(cases, h.point.structure, h.point.values, held, density))]
 
 
 def _following(
@@ -182,10 +191,8 @@ def _following(
         effect, structure, place = start
         return Hypothesis((effect,), valleys.settle(cases, structure, {**place, **held}, held, base.density))
 
-    with ThreadPoolExecutor(2) as pool:
-        found = list(pool.map(fitted, begun))
     # Where a regression sends the drive to sleep no model runs.
-    return [h for h in found if math.isfinite(h.deviance)]
+    return [h for h in each(fitted, begun) if math.isfinite(h.deviance)]
 
 
 def _freed(
@@ -199,11 +206,10 @@ def _freed(
         return []
 
     def fitted(h: Hypothesis) -> Hypothesis:
-        return Hypothesis(h.added, valleys.relocated(cases, _finish(cases, h, held, base.density).point, held))
+        point = valleys.settle(cases, h.point.structure, h.point.values, held, base.density)
+        return Hypothesis(h.added, valleys.relocated(cases, point, held))
 
-    near = contest(cases, free, candidates)[:NEAR]
-    with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(fitted, near))
+    return each(fitted, contest(cases, free, candidates)[:NEAR])
 
 
 def _alike(effect: str, winner: Hypothesis) -> bool:
@@ -270,38 +276,37 @@ def compete(
     def leading(most: int) -> list[Hypothesis]:
         return sorted(best.values(), key=lambda h: (not plausible(cases, h.point, before), h.deviance))[:most]
 
-    with ThreadPoolExecutor(2) as pool:
-        keep(list(pool.map(lambda h: _finish(cases, h, held, density), known)))
-        for _ in range(AGAIN):
-            near = contest(cases, before, promising)
-            keep(list(pool.map(lambda h: _finish(cases, h, held, density), near[:NEAR])))
-            keep(_following(cases, before, promising, held))
-            keep(_freed(cases, before, promising, held))
-            leaders = leading(2)
-            places = pool.map(lambda h: valleys.settle(cases, structure, h.point.values, held, density), leaders)
-            smaller = _better(cases, before, list(places))
-            unit = compare.worth([before, leaders[0].point])
-            learned = (before.deviance - smaller.deviance) / unit
-            if learned < compare.PRICE:
-                break
-            if learned < compare.LEAST:
-                promising = [h.added[0] for h in near]
-            before = smaller
-        # What is easily mistaken for the best is tried in its place: the model without either may have gone astray.
-        masks = [e for e in candidates if (e,) not in best and _alike(e, leaders[0])]
-        keep(list(pool.map(lambda e: _instead(cases, leaders[0], structure, e, held), masks)))
-        leaders = leading(2)
-        # Those that are not far behind the best may only have ended in a lesser valley.
-        hoped = max(CLOSE * (before.deviance - leaders[0].deviance), HOPE * compare.LEAST * unit)
-        bar = before.deviance - hoped
-        close = [h for h in leading(NEAR) if h.deviance < bar]
-        keep(list(pool.map(lambda h: Hypothesis(h.added, valleys.deepen(cases, h.point, held)), close)))
-        if unit >= WHITE:
-            # Where the likelihood is rough the one that ended in a better valley would win, whatever its effect.
-            rough = [h for h in leading(1) if h.deviance < bar]
-            keep([Hypothesis(h.added, valleys.relocated(cases, h.point, held)) for h in rough])
-            pairs = itertools.permutations([h for h in leading(EACH) if h.deviance < bar], 2)
-            keep(list(pool.map(lambda pair: _in_place_of(cases, pair[0], pair[1], structure, held), pairs)))
+    begun = list(known)
+    for _ in range(AGAIN):
+        near = contest(cases, before, promising)
+        ways = [partial(way, cases, before, promising, held) for way in (_following, _freed)]
+        ways += [partial(_finished, cases, h, held, density) for h in (*begun, *near[:NEAR])]
+        keep([h for found in each(call, ways) for h in found])
+        leaders, begun = leading(2), []
+        places = each(lambda h: valleys.settle(cases, structure, h.point.values, held, density), leaders)
+        smaller = _better(cases, before, places)
+        unit = compare.worth([before, leaders[0].point])
+        learned = (before.deviance - smaller.deviance) / unit
+        if learned < compare.PRICE:
+            break
+        if learned < compare.LEAST:
+            promising = [h.added[0] for h in near]
+        before = smaller
+    # What is easily mistaken for the best is tried in its place: the model without either may have gone astray.
+    masks = [e for e in candidates if (e,) not in best and _alike(e, leaders[0])]
+    keep(each(lambda e: _instead(cases, leaders[0], structure, e, held), masks))
+    leaders = leading(2)
+    # Those that are not far behind the best may only have ended in a lesser valley.
+    hoped = max(CLOSE * (before.deviance - leaders[0].deviance), HOPE * compare.LEAST * unit)
+    bar = before.deviance - hoped
+    close = [h for h in leading(NEAR) if h.deviance < bar]
+    keep(each(lambda h: Hypothesis(h.added, valleys.deepen(cases, h.point, held)), close))
+    if unit >= WHITE:
+        # Where the likelihood is rough the one that ended in a better valley would win, whatever its effect.
+        rough = [h for h in leading(1) if h.deviance < bar]
+        keep([Hypothesis(h.added, valleys.relocated(cases, h.point, held)) for h in rough])
+        pairs = itertools.permutations([h for h in leading(EACH) if h.deviance < bar], 2)
+        keep(each(lambda pair: _in_place_of(cases, pair[0], pair[1], structure, held), pairs))
     return _judged(cases, before, list(best.values()), held)
 
 

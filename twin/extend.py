@@ -6,7 +6,6 @@ import itertools
 import math
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +27,7 @@ from twin import (
     valleys,
 )
 from twin.axis import Structure
+from twin.cores import each
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN
 from twin.errors import BadInput
 from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
@@ -155,10 +155,8 @@ def _nameless(found: Search, before: unknown.Leftover, after: unknown.Leftover, 
     shown = [t for one in left for t in unknown.which_terms(one) if t.kind not in strange]
     always = [Term(k) for k in ALWAYS if not (k == "position" and speed)]
     terms = dict.fromkeys((*shown, *always))
-    with ThreadPoolExecutor(2) as pool:
-        tried = pool.map(lambda pair: unknown.sketch(found.cases, *pair), itertools.product(bases, terms))
-        best = sorted(tried, key=lambda p: p.deviance)[:SKETCHES]
-        fits = list(pool.map(lambda p: unknown.finish(found.cases, p), best))
+    tried = each(lambda pair: unknown.sketch(found.cases, *pair), itertools.product(bases, terms))
+    fits = each(lambda p: unknown.finish(found.cases, p), sorted(tried, key=lambda p: p.deviance)[:SKETCHES])
     # What the first model lacked may have led its gap and teeth far astray; what is far behind the names stays there.
     near = [p for p in fits if compare.earned(first, p) > 0.0 and compare.ahead(last, p) < compare.LEAST]
     promising = [p for p in near if plausible(found.cases, p, first)]
@@ -181,8 +179,8 @@ def _learned(found: Search, nameless: Point) -> Search:
     begun = {**last.values, **{n: nameless.values[n] for n in last.free if n in nameless.free}}
     # Which side of the gap a torque acts on decides how it is crossed: from the wrong one no slope leads to the other.
     sides = [begun, *({**begun, "shaft_share": side} for side in (0.0, 1.0) if "shaft_share" in last.free)]
-    fits = [valleys.settle(found.cases, last.structure, v, valleys.kept(last), last.density) for v in sides]
-    best = min([last, *fits], key=lambda p: p.deviance)
+    other = valleys.highest(found.cases, last.structure, sides, valleys.kept(last), last.density)
+    best = min(last, other, key=lambda p: p.deviance)
     return found if best is last else search.renewed(found, best)
 
 

@@ -11,7 +11,6 @@ none of the largest changes is a loss.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.stats import wilcoxon
 
 from twin import likelihood, ready
+from twin.cores import each
 from twin.likelihood import Case, Point
 
 FloatArray = NDArray[np.float64]
@@ -64,8 +64,7 @@ def gains(cases: Sequence[Case], smaller: Point, larger: Point) -> FloatArray:
         better = [a - b for a, b in zip(plain, _losses(cases, found, smaller.scale), strict=True)]
         return [np.bincount(s[h], d[h])[np.unique(s[h])] for s, h, d in zip(stretches, hidden, better, strict=True)]
 
-    with ThreadPoolExecutor(2) as pool:
-        return np.concatenate([g for fold in pool.map(left_out, range(FOLDS)) for g in fold])
+    return np.concatenate([g for fold in each(left_out, range(FOLDS)) for g in fold])
 
 
 def chance(cases: Sequence[Case], smaller: Point, larger: Point) -> float:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from twin import ascent, likelihood, ready
 from twin.axis import Structure
+from twin.cores import each
 from twin.errors import BadInput
 from twin.likelihood import Case, Point
 from twin.model import Model
@@ -165,11 +165,8 @@ def _intervals(cases: Sequence[Case], point: Point, model: Model) -> dict[str, t
     """95 % intervals of the parameters for which a standard error is not enough."""
     powers = {"backlash_gap": ascent.LIGHTER}
     names = [n for n in PROFILED if n in point.free]
-    with ThreadPoolExecutor(2) as pool:
-        ends = pool.map(
-            lambda n: likelihood.profile_interval(cases, point, n, model.std(n), powers.get(n, {})), names
-        )
-        found = dict(zip(names, ends, strict=True))
+    ends = each(lambda n: likelihood.profile_interval(cases, point, n, model.std(n), powers.get(n, {})), names)
+    found = dict(zip(names, ends, strict=True))
     if {"backlash_gap", "motor_share"} <= set(point.free) and math.isfinite(model.std("motor_share")):
         # Along the ridge the motor's share goes with the gap, and so it is no better known.
         share, wide = point.values["motor_share"], 1.96 * model.std("motor_share")

@@ -18,7 +18,6 @@ import hashlib
 import math
 from collections import OrderedDict
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,6 +28,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from twin import kernel, sensing
 from twin.axis import EVERYTHING, STATES, Structure
+from twin.cores import each
 from twin.kernel import INDEX, Drive, Noise
 from twin.loop import own_loop
 from twin.recording import Recording, command_of, known_quantities
@@ -126,6 +126,11 @@ class Case:
     def reach(self) -> tuple[float, float]:
         """The least and the largest reading, output unit."""
         return float(np.nanmin(self.recording.output)), float(np.nanmax(self.recording.output))
+
+    @cached_property
+    def commands(self) -> tuple[float, float]:
+        """The least and the largest command, input unit."""
+        return float(self.drive.command.min()), float(self.drive.command.max())
 
     @cached_property
     def places(self) -> FloatArray:
@@ -372,7 +377,7 @@ def _run_away(case: Case, density: float, free: tuple[str, ...], slopes: FloatAr
     if density == 0.0 or case.free is not None or case.drive.closed or "input_gain" not in free:
         return np.zeros(len(slopes), dtype=bool)
     memory = max(memory_of(case, density), _MEETING) + case.longest_wait
-    push = float(np.max(np.abs(case.drive.command))) * memory ** (1 if case.drive.speed else 2)
+    push = max(map(abs, case.commands)) * memory ** (1 if case.drive.speed else 2)
     return ~(np.abs(slopes[:, free.index("input_gain")]) <= AWAY * push)
 
 
@@ -422,7 +427,7 @@ def innovations(
 def _moves(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     """Whether some command is beyond the dead-band: a model that nothing moves follows slow readings best of all."""
     forward, reverse = values.get("dead_band_forward", 0.0), values.get("dead_band_reverse", 0.0)
-    return any(c.drive.closed or c.drive.command.max() >= forward or -c.drive.command.min() >= reverse for c in cases)
+    return any(c.drive.closed or c.commands[1] >= forward or -c.commands[0] >= reverse for c in cases)
 
 
 def _between(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
@@ -548,9 +553,8 @@ def robust_covariance(cases: Sequence[Case], point: Point, stretch: float = STRE
 def deviances(
     cases: Sequence[Case], structure: Structure, trials: Sequence[Mapping[str, float]], density: float
 ) -> list[float]:
-    """The deviance at each of many values, on two threads: the kernel runs without Python's lock."""
-    with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(lambda v: evaluate(cases, structure, v, density).deviance, trials))
+    """The deviance at each of many values."""
+    return each(lambda v: evaluate(cases, structure, v, density).deviance, trials)
 
 
 def solved(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -756,8 +760,7 @@ def best_density(
     top = math.log10(densest(cases))
 
     def looked(exponents: Sequence[float]) -> list[float]:
-        with ThreadPoolExecutor(2) as pool:
-            return list(pool.map(lambda d: evaluate(cases, structure, values, 10.0**d).deviance, exponents))
+        return each(lambda d: evaluate(cases, structure, values, 10.0**d).deviance, exponents)
 
     if around is None:
         # Readings that are rounded and held have a second valley, where the last reading is all that is believed.

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from twin import compare, equations, explain, foretold, likelihood, locate, ready, unknown
 from twin.axis import Structure
+from twin.cores import each
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.effects.knots import spots, through
 from twin.likelihood import Case, Point
@@ -71,7 +72,7 @@ def _drawn(cases: Sequence[Case], last: Point, ids: Sequence[str], variable: str
     sense = _torques([prefix], replace(sketched, values=unit), np.zeros(1), variable)[0]
     same = through(prefix, at, (sense * _torques(ids, last, np.array(at), variable).sum(axis=0)).tolist())
     begun = replace(sketched, values={**ready.completed(sketched.structure, last.values), **same})
-    return min((unknown.finish(cases, p) for p in (sketched, begun)), key=lambda p: p.deviance)
+    return min(each(lambda p: unknown.finish(cases, p), (sketched, begun)), key=lambda p: p.deviance)
 
 
 def _needed(cases: Sequence[Case], first: Structure, curve: Point, names: Sequence[str]) -> Point:
@@ -208,8 +209,8 @@ def redrawn(cases: Sequence[Case], first: Structure, last: Point) -> Redrawn | N
     variables = [v for v in SLOTS if not (cases[0].drive.speed and v == "position")]
     pieces = one_curve(cases, first, last) if "position" in variables else None
     curves = [outdone(cases, first, last, v) for v in variables] if pieces is None else [pieces]
-    tried = (*curves, giving(cases, first, last), turning(cases, first, last))
-    found = [r for r in tried if r is not None]
+    tried = each(lambda way: way(cases, first, last), (giving, turning))
+    found = [r for r in (*curves, *tried) if r is not None]
     best: Redrawn | None = min(found, key=lambda r: r.curve.deviance, default=None)
     if best is None:
         return None

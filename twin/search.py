@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 from twin import ascent, compare, explain, following, likelihood, meetings, ready, screening, valleys
 from twin.axis import Structure
+from twin.cores import each
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.effects.end_stop import NOWHERE
 from twin.explain import Hypothesis, Round
@@ -68,8 +69,7 @@ def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
 def _fits(
     cases: Sequence[Case], point: Point, held: Mapping[str, float], structures: Sequence[Structure]
 ) -> list[Point]:
-    with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(lambda s: valleys.settle(cases, s, point.values, held, point.density), structures))
+    return each(lambda s: valleys.settle(cases, s, point.values, held, point.density), structures)
 
 
 def _fair(cases: Sequence[Case], point: Point, lesser: Sequence[Point], begun: Point) -> Point:
@@ -253,9 +253,8 @@ def _swapped(
                 starts = ({**own.values, **last.values}, {**last.values, **own.values})
                 # What the effect had brought along may be there without it.
                 others = dict.fromkeys(last.structure.without(effect, *i).with_(*h.added) for i in ((), brought))
-                with ThreadPoolExecutor(2) as pool:
-                    begun = itertools.product(others, starts)
-                    tried = list(pool.map(lambda b: valleys.settle(cases, b[0], b[1], held, last.density), begun))
+                begun = itertools.product(others, starts)
+                tried = each(lambda b: valleys.settle(cases, b[0], b[1], held, last.density), begun)
                 point = valleys.deepen(cases, min(tried, key=lambda p: compare.behind(p, last)), held)
                 # What stays behind takes no place, and needs no test: that something is there is known from the effect.
                 without = min((q for q in lesser if effect not in q.structure), key=lambda q: q.deviance)
@@ -295,11 +294,12 @@ def _wider(
         mine, known = ready.with_steps(cases, longer), ready.completed(longer, last.values) | dict(held)
         starts = [known | {more.gain: s * size} for s in (1.0, -1.0) if more.gain not in held]
         allowed = filter(likelihood.within_bounds, starts)
-        fits = [likelihood.climb(mine, longer, v, last.density, last.free) for v in allowed]
+        climb = partial(likelihood.climb, mine, longer, density=last.density, free=last.free)
+        fits = each(climb, allowed)
         for h in _overtook(rounds, effect, other):
             share = h.values[more.gain] / max(h.values[own.gain], 1e-300)
             begins = ({**last.values, more.gain: share * size}, {**last.values, **h.values})
-            fits += [valleys.settle(cases, longer, v, held, last.density) for v in begins]
+            fits.append(valleys.highest(cases, longer, begins, held, last.density))
         found = min(fits, key=lambda p: p.deviance, default=None)
         if found is not None and compare.ahead(last, found) < compare.UNSURE and plausible(cases, found, last):
             out.append(Swap(effect, other, found))
@@ -339,7 +339,7 @@ def _levelled(cases: Sequence[Case], last: Point, candidates: Sequence[str]) -> 
     rows = screening.sided([equal], last.structure, last.values, "constant_offset")
     free = (*last.free, *(n for n in rows[0] if n not in equal))
     # The torque is held where it levels the dead-bands; they stay about equal unless something else makes up for it.
-    fits = [likelihood.climb(mine, longer, begun | row, last.density, free) for row in rows]
+    fits = each(lambda row: likelihood.climb(mine, longer, begun | row, last.density, free), rows)
     found = min(fits, key=lambda p: p.deviance)
     level = abs(found.values[sides[1]] - found.values[sides[0]]) < 0.5 * abs(differ)
     stands = level and compare.ahead(last, found) < compare.UNSURE
@@ -410,8 +410,7 @@ def _carried(
         else:
             structure = w.point.structure.with_(*more).without(*fewer)
             starts = ({**last.values, **w.point.values}, {**w.point.values, **last.values})
-            fits = [valleys.settle(cases, structure, v, held, last.density) for v in starts]
-            out.append(Swap(w.effect, w.rival, min(fits, key=lambda p: p.deviance)))
+            out.append(Swap(w.effect, w.rival, valleys.highest(cases, structure, starts, held, last.density)))
     return out
 
 

@@ -20,6 +20,7 @@ from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
 from twin import ascent, likelihood, locate, ready, valleys
 from twin.axis import Structure
+from twin.cores import each
 from twin.effects.catalogue import EFFECTS
 from twin.effects.knots import KNOTS, names, slopes, spots, through
 from twin.likelihood import Case, Point
@@ -392,13 +393,9 @@ def bent(cases: Sequence[Case], base: Point) -> Point:
     """The base model and friction that gives, after a few steps from the likeliest of some ways."""
     structure, names = base.structure.with_("unknown_bend"), ("unknown_bend_level", "unknown_bend_give")
     mine, lever = ready.with_steps(cases, structure), max(c.recording.lever for c in cases)
-    trials = [
-        likelihood.climb(
-            mine, structure, {**base.values, names[0]: 0.0, names[1]: way * lever}, base.density,
-            (*base.free, names[0]), rounds=5, tolerance=1.0,
-        )
-        for way in _GIVES
-    ]  # fmt: skip
+    starts = ({**base.values, names[0]: 0.0, names[1]: way * lever} for way in _GIVES)
+    free = (*base.free, names[0])
+    trials = each(lambda v: likelihood.climb(mine, structure, v, base.density, free, rounds=5, tolerance=1.0), starts)
     best = min(trials, key=lambda p: p.deviance)
     return likelihood.climb(mine, structure, best.values, base.density, (*base.free, *names), rounds=5, tolerance=1.0)
 

@@ -9,10 +9,10 @@ torque, and would drop it again.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 from twin import ascent, likelihood, ready
 from twin.axis import Structure
+from twin.cores import each
 from twin.likelihood import Case, Point
 
 #: The least memory of a filter that judges, s.
@@ -35,6 +35,14 @@ def settle(
     free = tuple(n for n in ready.free_parameters(structure) if n not in held)
     full = ready.completed(structure, values) | dict(held)
     return likelihood.climb(mine, structure, full, density, free, tolerance=0.2)
+
+
+def highest(
+    cases: Sequence[Case], structure: Structure, starts: Sequence[Mapping[str, float]], held: Mapping[str, float],
+    density: float,
+) -> Point:  # fmt: skip
+    """The likeliest of the maxima near several values."""
+    return min(each(lambda v: settle(cases, structure, v, held, density), starts), key=lambda p: p.deviance)
 
 
 def kept(point: Point) -> dict[str, float]:
@@ -77,8 +85,7 @@ def relocated(cases: Sequence[Case], point: Point, held: Mapping[str, float]) ->
         rough = ascent.coarse(seen, rigid, ready.completed(rigid, point.values), held, memory)
         return retoothed(cases, point.structure, {**point.values, **rough.values}, held, point.density)
 
-    with ThreadPoolExecutor(2) as pool:
-        return min([point, *pool.map(looked, ascent.MEMORIES)], key=lambda p: p.deviance)
+    return min([point, *each(looked, ascent.MEMORIES)], key=lambda p: p.deviance)
 
 
 def deepen(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
