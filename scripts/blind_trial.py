@@ -475,9 +475,10 @@ def main(arguments: list[str] | None = None) -> None:
         parser.error("trials, duration and processes must be positive")
     if given.summarise:
         try:
-            print(summary(read(given.summarise)))
+            outcomes = read(given.summarise)
         except (OSError, ValueError, KeyError, TypeError) as error:
             parser.error(f"{given.summarise} is not a file of opened trials: {error}")
+        print(summary(outcomes))
         return
     numbers = range(given.first, given.first + given.trials)
     save = (lambda outcome: write(given.json, outcome)) if given.json else (lambda outcome: None)

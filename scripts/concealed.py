@@ -110,7 +110,7 @@ def _numbers(effects: Sequence[Concealed]) -> int:
 
 @dataclass(frozen=True)
 class Trip:
-    """How far a rig comes within each window, s, under a command (N,) with one run of the noise."""
+    """How far a rig is read to come within each window, s, under a command (N,) with one run of the noise."""
 
     simulate: Callable[..., Any]
     time: Array
@@ -120,8 +120,8 @@ class Trip:
 
     def travel(self, rig: Any, effects: Sequence[Concealed], seed: int) -> Array:
         """In counts."""
-        position = self.simulate(rig, effects, self.time, self.duty, seed).position
-        return _travel(position, self.time, self.window)[::THIN] * rig.counts_per_revolution / (2.0 * np.pi)
+        counts = self.simulate(rig, effects, self.time, self.duty, seed).counts
+        return _travel(counts.astype(float), self.time, self.window)[::THIN]
 
     def noise(self, rig: Any, effects: Sequence[Concealed]) -> float:
         """RMS of what another run of the noise changes, in counts; half a count at least."""

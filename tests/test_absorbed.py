@@ -42,12 +42,15 @@ def test_a_rig_s_own_numbers_can_be_chosen_anew(simulator: str) -> None:
         assert moved.counts_per_revolution == rig.counts_per_revolution
 
 
-def test_a_torque_that_dead_bands_may_be_is_taken_over_and_a_shake_is_not() -> None:
+def test_a_torque_that_dead_bands_may_be_is_taken_over_and_neither_a_shake_nor_an_encoder_is() -> None:
     rig = circuit_rig.draw_rig(np.random.default_rng(2))
     time, duty = EXCITATIONS["square"](8.0, np.random.default_rng(1), FREE)
     torque = 0.1 * rig.half_torque
     shake = {"shake": torque, "shake_frequency": 1.3, "shake_phase": 0.2}
-    of = {"constant_offset": {"offset_motor": torque}, "periodic_disturbance": shake}
+    off_centre = {"eccentricity": 0.05, "eccentricity_phase": 0.4}
+    of = {
+        "constant_offset": {"offset_motor": torque}, "periodic_disturbance": shake, "encoder_eccentricity": off_centre,
+    }  # fmt: skip
     seen, kept = {}, {}
     for id, parameters in of.items():
         effects = [Concealed(id, parameters)]
@@ -56,6 +59,7 @@ def test_a_torque_that_dead_bands_may_be_is_taken_over_and_a_shake_is_not() -> N
     assert min(seen.values()) > 3.0
     assert kept["constant_offset"] < 0.1 * seen["constant_offset"]
     assert kept["periodic_disturbance"] > 0.7 * seen["periodic_disturbance"]
+    assert kept["encoder_eccentricity"] > 0.7 * seen["encoder_eccentricity"]
 
 
 def test_what_is_left_is_that_of_a_linear_oracle() -> None:
@@ -77,10 +81,10 @@ def test_what_is_left_is_that_of_a_linear_oracle() -> None:
             return Rig(gain)
 
     def simulate(rig, effects, time, duty, seed):
-        position = rig.gain * along + 0.1 * noise * (seed - 1)
+        counts = rig.gain * along + 0.1 * noise * (seed - 1)
         for e in effects:
-            position = position + e.parameters["along"] * along + e.parameters["across"] * across
-        return type("Run", (), {"position": position})
+            counts = counts + e.parameters["along"] * along + e.parameters["across"] * across
+        return type("Run", (), {"counts": counts})
 
     def travel(x):
         return (x[250:] - x[:-250])[:: concealed.THIN]

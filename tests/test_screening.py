@@ -140,7 +140,8 @@ def test_a_torque_is_looked_for_on_the_motor_and_on_the_link(effect, law, share)
     made = recorded(structure.with_(effect), values | law | {"shaft_share": share}, time, duty, shaken, 16384.0)
     cases = ready.prepare([made], structure)
     before = valleys.settle(cases, structure, values, {}, likelihood.density_of(cases[0], 0.05))
-    entry = screening.enter(cases, before, effect, screening.grids(cases, structure, before.values)[effect])
+    trials = screening.grids(cases, structure, before.values)
+    (entry,) = screening.entries(cases, before, {effect: trials[effect]})
     begun = screening.likeliest(cases, entry.structure, entry.places, before.density)
     found = valleys.settle(cases, entry.structure, begun, {}, before.density)
     assert found.values["shaft_share"] == pytest.approx(share, abs=0.15)
@@ -165,7 +166,7 @@ def test_a_torque_that_dead_bands_had_taken_over_is_found_on_its_own_side_of_the
     cases = ready.prepare([made], structure)
     before = valleys.settle(cases, structure, values, {}, likelihood.density_of(cases[0], 0.1))
     trials = screening.grids(cases, before.structure, before.values)["constant_offset"]
-    entry = screening.enter(cases, before, "constant_offset", trials)
+    (entry,) = screening.entries(cases, before, {"constant_offset": trials})
     begun = screening.likeliest(cases, entry.structure, entry.places, before.density)
     found = valleys.settle(cases, entry.structure, begun, {}, before.density)
     assert found.values["shaft_share"] == pytest.approx(share, abs=0.1)
@@ -243,7 +244,8 @@ def test_a_lag_is_looked_for_ahead_of_the_dead_band_and_behind_it(share) -> None
     made = recorded(ready.with_teeth(structure).with_("motor_lag"), values | lag, time, duty, shaken, 16384.0)
     cases, rough = ascent.start([made], structure, {})
     before = valleys.settle(cases, structure, rough[0].values, {}, likelihood.density_of(cases[0], 0.1))
-    entry = screening.enter(cases, before, "motor_lag", screening.grids(cases, structure, before.values)["motor_lag"])
+    trials = screening.grids(cases, structure, before.values)["motor_lag"]
+    (entry,) = screening.entries(cases, before, {"motor_lag": trials})
     begun = screening.likeliest(cases, entry.structure, entry.places, before.density)
     found = valleys.settle(cases, entry.structure, begun, {}, before.density)
     assert found.values["lag_dead_band"] == share
@@ -264,5 +266,5 @@ def test_a_candidate_moves_nothing_that_is_held() -> None:
     before = valleys.settle(cases, structure, values, known, likelihood.density_of(cases[0], 0.1))
     trials = screening.grids(cases, before.structure, before.values)["joint_elasticity"]
     assert all(known.keys() <= row.keys() for row in trials)
-    entry = screening.enter(cases, before, "joint_elasticity", trials)
+    (entry,) = screening.entries(cases, before, {"joint_elasticity": trials})
     assert all(known.items() <= place.items() for place in entry.places)

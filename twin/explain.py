@@ -82,9 +82,7 @@ def contest(cases: Sequence[Case], base: Point, candidates: Sequence[str]) -> li
     """The candidates that promise most beside the base, after a few steps; the best first."""
     mine = ready.with_steps(cases, base.structure)
     trials = screening.grids(mine, base.structure, base.values)
-    # What takes longest comes first, so that both threads end at about the same time.
-    longest = sorted(candidates, key=lambda e: -len(trials[e]))
-    entered = each(lambda e: screening.enter(mine, base, e, trials[e]), longest)
+    entered = screening.entries(mine, base, {e: trials[e] for e in candidates})
     entries = sorted(entered, key=lambda e: -e.promise)
     fits = each(lambda e: _climb(mine, base, e), entries[:SURVIVORS])
     return sorted(fits, key=lambda h: h.deviance)
@@ -292,13 +290,13 @@ def compete(
         if learned < compare.LEAST:
             promising = [h.added[0] for h in near]
         before = smaller
-    # What is easily mistaken for the best is tried in its place: the model without either may have gone astray.
-    masks = [e for e in candidates if (e,) not in best and _alike(e, leaders[0])]
-    keep(each(lambda e: _instead(cases, leaders[0], structure, e, held), masks))
-    leaders = leading(2)
+    least = HOPE * compare.LEAST * unit
+    if before.deviance - leaders[0].deviance > least:
+        # What is easily mistaken for the best is tried in its place: the model without either may have gone astray.
+        masks = [e for e in candidates if (e,) not in best and _alike(e, leaders[0])]
+        keep(each(lambda e: _instead(cases, leaders[0], structure, e, held), masks))
     # Those that are not far behind the best may only have ended in a lesser valley.
-    hoped = max(CLOSE * (before.deviance - leaders[0].deviance), HOPE * compare.LEAST * unit)
-    bar = before.deviance - hoped
+    bar = before.deviance - max(CLOSE * (before.deviance - leading(1)[0].deviance), least)
     close = [h for h in leading(NEAR) if h.deviance < bar]
     keep(each(lambda h: Hypothesis(h.added, valleys.deepen(cases, h.point, held)), close))
     if unit >= WHITE:

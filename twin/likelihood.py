@@ -630,7 +630,7 @@ def climb(
 
 def climb_on(cases: Sequence[Case], best: Point, rounds: int, tolerance: float) -> Point:
     """From a point that is known already."""
-    damping, refused = 1e-3, 0
+    damping, refused, wary = 1e-3, 0, False
     for _ in range(rounds):
         if not math.isfinite(best.deviance):
             return replace(best, converged=False, says="the start lies where the model cannot run")
@@ -640,17 +640,17 @@ def climb_on(cases: Sequence[Case], best: Point, rounds: int, tolerance: float) 
         promised = float(2.0 * best.gradient @ change - change @ best.normal @ change)
         if promised < enough:
             return best
-        # Where one step was refused most of the next are, too: these are looked at without their slopes first.
-        trial = evaluate(cases, best.structure, trial_values, best.density, () if refused else best.free)
+        # Where one step was refused half of the others are, too: these are looked at without their slopes first.
+        trial = evaluate(cases, best.structure, trial_values, best.density, () if wary else best.free)
         gained = best.deviance - trial.deviance
         if gained > 0.0:
-            best = evaluate(cases, best.structure, trial_values, best.density, best.free) if refused else trial
+            best = evaluate(cases, best.structure, trial_values, best.density, best.free) if wary else trial
             refused = 0
             damping = max(damping * (0.1 if gained > 0.5 * promised else 0.5), 1e-9)
             if gained < enough:
                 return best
         else:
-            refused += 1
+            refused, wary = refused + 1, True
             if refused == PATIENCE:
                 return replace(best, says="steps along the slope lead no higher: the likelihood is rough here")
             damping = max(damping * 10.0, 0.03)

@@ -11,13 +11,17 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from operator import call
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin import likelihood, locate, ready
 from twin.axis import Structure
+from twin.cores import each
 from twin.effects.catalogue import CANDIDATES, EFFECTS
+from twin.lanes import WIDTH
 from twin.likelihood import Case, Point
 from twin.locate import Missing
 from twin.plausibility import REPEATS
@@ -243,32 +247,71 @@ def placed(base: Point, structure: Structure, effect: str, trial: Mapping[str, f
     return ready.completed(structure, {**base.values, **unmoved, **trial})
 
 
-def _nested_starts(
-    cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]]
-) -> list[Start]:
-    """Starts of a candidate that has a neutral value, from the exact sensitivities there."""
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """A candidate that has a neutral value, as it is tried there; the base's and its own values, and what is new."""
+
+    effect: str
+    structure: Structure
+    values: dict[str, float]
+    phased: bool
+    news: tuple[str, ...]
+
+
+def _row(base: Point, effect: str, trial: Mapping[str, float]) -> _Row:
     screen = EFFECTS[effect].screen
     assert screen is not None
     structure = extended(base.structure, effect)
     others = [EFFECTS[i].screen for i in EFFECTS[effect].includes if i not in base.structure]
-    companions = [s.gain for s in others if s is not None]
-    starts = []
-    for trial in trials:
-        values = placed(base, structure, effect, trial)
-        phased = () if screen.phase is None else (screen.phase,)
-        if phased:
-            # Of no size at all it has no phase either; the smallest shows what both lead to.
-            values |= {screen.gain: _SMALLEST, phased[0]: 0.0}
-        news = (screen.gain, *phased, *companions)
-        point = likelihood.evaluate(cases, structure, values, base.density, (*base.free, *news))
-        step, promise = _score(base, point, news)
-        found = dict(zip(point.free, step.tolist(), strict=True))
-        if phased:
-            assert screen.combine is not None
-            found[screen.gain], phase = screen.combine(found[screen.gain], _SMALLEST * found.pop(phased[0]))
-            values |= {screen.gain: 0.0, phased[0]: phase}
-        starts.append(Start(values, found, promise + base.deviance - point.deviance))
-    return starts
+    values = placed(base, structure, effect, trial)
+    phase = () if screen.phase is None else (screen.phase,)
+    if phase:
+        # Of no size at all it has no phase either; the smallest shows what both lead to.
+        values |= {screen.gain: _SMALLEST, phase[0]: 0.0}
+    news = (screen.gain, *phase, *(s.gain for s in others if s is not None))
+    return _Row(effect, structure, values, bool(phase), news)
+
+
+def _together(base: Point, rows: Sequence[_Row]) -> list[list[_Row]]:
+    """The rows in groups that one run serves: what does nothing is in no other's way, if both want the same values and
+    there are lanes for the slopes of all. What has a phase does not quite nothing, and keeps to its like.
+    """
+    groups: list[list[_Row]] = []
+    for row in rows:
+        for group in groups:
+            shared = {n: v for other in group for n, v in other.values.items()}
+            news = {n for other in (*group, row) for n in other.news}
+            alike = row.phased == group[0].phased and len(base.free) % WIDTH + len(news) <= WIDTH
+            if alike and all(shared.get(n, v) == v for n, v in row.values.items()):
+                group.append(row)
+                break
+        else:
+            groups.append([row])
+    return groups
+
+
+def _starts(cases: Sequence[Case], base: Point, rows: Sequence[_Row]) -> list[Start]:
+    """Starts of candidates from the exact sensitivities where none of them does anything."""
+    structure = base.structure.with_(*(i for row in rows for i in row.structure.ids))
+    news = dict.fromkeys(n for row in rows for n in row.news)
+    values = ready.completed(structure, {n: v for row in rows for n, v in row.values.items()})
+    mine = ready.with_steps(cases, structure)
+    point = likelihood.evaluate(mine, structure, values, base.density, (*base.free, *news))
+    return [_start(base, point, row) for row in rows]
+
+
+def _start(base: Point, point: Point, row: _Row) -> Start:
+    """The start of one of the candidates that a run has served."""
+    screen = EFFECTS[row.effect].screen
+    assert screen is not None
+    step, promise = _score(base, point, row.news)
+    found = dict(zip((*base.free, *row.news), step.tolist(), strict=True))
+    values = row.values
+    if screen.phase is not None:
+        assert screen.combine is not None
+        found[screen.gain], phase = screen.combine(found[screen.gain], _SMALLEST * found.pop(screen.phase))
+        values = {**values, screen.gain: 0.0, screen.phase: phase}
+    return Start(values, found, promise)
 
 
 def inside(values: Mapping[str, float]) -> dict[str, float]:
@@ -334,15 +377,34 @@ def likeliest(
     return min(places, key=lambda v: likelihood.evaluate(cases, structure, v, density).deviance)
 
 
-def enter(cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]]) -> Entry:
-    """The candidate where it promises most beside the base."""
-    structure = extended(base.structure, effect)
-    mine = ready.with_steps(cases, structure)
+def entries(
+    cases: Sequence[Case], base: Point, trials: Mapping[str, Sequence[Mapping[str, float]]]
+) -> list[Entry]:  # fmt: skip
+    """The candidates, each where it promises most beside the base."""
     held = set(ready.free_parameters(base.structure)) - set(base.free)
-    free = tuple(n for n in ready.free_parameters(structure) if n not in held)
-    trials = [{n: v for n, v in row.items() if n not in held} for row in trials]
-    if effect in DIRECT:
-        promise, values = _direct_start(mine, base, effect, trials, free)
-        return Entry(effect, structure, free, (values,), promise)
-    best = max(_nested_starts(mine, base, effect, trials), key=lambda s: s.promise)
-    return Entry(effect, structure, free, tuple(best.at(share) for share in _SHARES), best.promise)
+    rows = {e: [{n: v for n, v in row.items() if n not in held} for row in tried] for e, tried in trials.items()}
+
+    def free(structure: Structure) -> tuple[str, ...]:
+        return tuple(n for n in ready.free_parameters(structure) if n not in held)
+
+    def direct(effect: str) -> list[Entry]:
+        structure = extended(base.structure, effect)
+        mine = ready.with_steps(cases, structure)
+        promise, values = _direct_start(mine, base, effect, rows[effect], free(structure))
+        return [Entry(effect, structure, free(structure), (values,), promise)]
+
+    def nested(group: Sequence[_Row]) -> list[Entry]:
+        out = []
+        for row, start in zip(group, _starts(cases, base, group), strict=True):
+            places = tuple(start.at(share) for share in _SHARES)
+            out.append(Entry(row.effect, row.structure, free(row.structure), places, start.promise))
+        return out
+
+    # What takes longest comes first, so that both cores end at about the same time.
+    longest = sorted((e for e in rows if e in DIRECT), key=lambda e: -len(rows[e]))
+    groups = _together(base, [_row(base, e, row) for e, tried in rows.items() if e not in DIRECT for row in tried])
+    ways = [*(partial(direct, e) for e in longest), *(partial(nested, g) for g in groups)]
+    best: dict[str, Entry] = {}
+    for entry in (entry for found in each(call, ways) for entry in found):
+        best[entry.effect] = max(best.get(entry.effect, entry), entry, key=lambda e: e.promise)
+    return list(best.values())
