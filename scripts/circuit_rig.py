@@ -159,6 +159,7 @@ class Simulated:
     time: Array
     duty: Array
     counts: NDArray[np.int64]
+    shown: Array  # by the encoder's disc before it is counted, rad
     position: Array
     velocity: Array
     motor_position: Array
@@ -455,7 +456,7 @@ def simulate(
     white = np.random.default_rng(seed).standard_normal(len(command) + 1) * rig.noise / sqrt(SAMPLE) * float(noise)
     keep = exp(-SAMPLE / rig.noise_time)
     track = _play(rig, command, lfilter([1.0 - keep], [1.0, -keep], white), substeps)[before:]
-    seen = track[:, 0] + rig.eccentricity * np.sin(track[:, 0] + rig.eccentricity_phase)
+    shown = track[:, 0] + rig.eccentricity * np.sin(track[:, 0] + rig.eccentricity_phase)
     per_turn = int(rig.counts_per_revolution)
-    counts = np.floor(seen * per_turn / TURN + rig.encoder_phase).astype(np.int64)
-    return Simulated(np.asarray(time, float), np.asarray(duty, float), counts, *track.T, per_turn)
+    counts = np.floor(shown * per_turn / TURN + rig.encoder_phase).astype(np.int64)
+    return Simulated(np.asarray(time, float), np.asarray(duty, float), counts, shown, *track.T, per_turn)

@@ -120,8 +120,8 @@ class Trip:
 
     def travel(self, rig: Any, effects: Sequence[Concealed], seed: int) -> Array:
         """In counts."""
-        counts = self.simulate(rig, effects, self.time, self.duty, seed).counts
-        return _travel(counts.astype(float), self.time, self.window)[::THIN]
+        shown = self.simulate(rig, effects, self.time, self.duty, seed).shown
+        return _travel(shown, self.time, self.window)[::THIN] * rig.counts_per_revolution / (2.0 * np.pi)
 
     def noise(self, rig: Any, effects: Sequence[Concealed]) -> float:
         """RMS of what another run of the noise changes, in counts; half a count at least."""

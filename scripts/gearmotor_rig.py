@@ -240,13 +240,13 @@ class Rig:
 class Simulated:
     """One run, all (n,) at the stamps.
 
-    `position` is what the encoder's disc shows before it is counted, so eccentricity is in it; `velocity` is the
-    link's own. Angles in rad, speeds in rad/s, duty in %, current in A.
+    `position` and `velocity` are the link's own. Angles in rad, speeds in rad/s, duty in %, current in A.
     """
 
     time: Array
     duty: Array
     counts: NDArray[np.int64]
+    shown: Array  # by the encoder's disc before it is counted, rad
     position: Array
     velocity: Array
     motor_position: Array  # at its shaft
@@ -679,4 +679,4 @@ def simulate(
     link, velocity, motor, current = _run(time, duty, motor_noise, link_noise, plant).T.copy()
     shown = link + plant.eccentricity * np.sin(link + plant.eccentricity_phase)
     counts = np.floor(shown * rig.counts_per_revolution / (2.0 * math.pi) + rig.encoder_phase).astype(np.int64)
-    return Simulated(time, duty, counts, shown, velocity, motor * rig.ratio, current, rig.counts_per_revolution)
+    return Simulated(time, duty, counts, shown, link, velocity, motor * rig.ratio, current, rig.counts_per_revolution)

@@ -127,6 +127,7 @@ class Simulated:
     time: Array
     duty: Array
     counts: NDArray[np.int64]
+    shown: Array  # by the encoder's disc before it is counted, rad
     position: Array  # of the link, rad
     velocity: Array
     motor_position: Array  # referred to the link side
@@ -609,11 +610,11 @@ def simulate(
     link_speed = np.interp(stamps, at + 0.5 * step, track[:, 2])
     motor_speed = np.interp(stamps, at + 0.5 * step, track[:, 3])
     shift = parameters.get("encoder_eccentricity", {"amplitude": 0.0, "phase": 0.0})
-    seen = link + shift["amplitude"] * np.sin(link + shift["phase"])
-    counts = np.floor(seen * rig.counts_per_revolution / TURN + rig.encoder_phase).astype(np.int64)
+    shown = link + shift["amplitude"] * np.sin(link + shift["phase"])
+    counts = np.floor(shown * rig.counts_per_revolution / TURN + rig.encoder_phase).astype(np.int64)
     torque = np.interp(stamps, at, track[:, 4])
     per_turn = rig.counts_per_revolution
-    return Simulated(time, duty, counts, link, link_speed, motor, motor_speed, torque, per_turn)
+    return Simulated(time, duty, counts, shown, link, link_speed, motor, motor_speed, torque, per_turn)
 
 
 def _run(

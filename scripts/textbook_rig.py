@@ -164,6 +164,7 @@ class Simulated:
     time: Array
     duty: Array
     counts: NDArray[np.int64]
+    shown: Array  # by the encoder's disc before it is counted, rad
     position: Array
     velocity: Array
     motor_position: Array
@@ -376,4 +377,4 @@ def simulate(
     link, velocity, motor = _run(time, duty, shaken, plant).T.copy()
     shown = link + plant.eccentricity * np.sin(link + plant.eccentricity_phase)
     counts = np.floor(shown * rig.counts_per_revolution / (2.0 * math.pi) + rig.encoder_phase).astype(np.int64)
-    return Simulated(time, duty, counts, link, velocity, motor, rig.counts_per_revolution)
+    return Simulated(time, duty, counts, shown, link, velocity, motor, rig.counts_per_revolution)

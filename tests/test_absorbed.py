@@ -81,10 +81,10 @@ def test_what_is_left_is_that_of_a_linear_oracle() -> None:
             return Rig(gain)
 
     def simulate(rig, effects, time, duty, seed):
-        counts = rig.gain * along + 0.1 * noise * (seed - 1)
+        shown = rig.gain * along + 0.1 * noise * (seed - 1)
         for e in effects:
-            counts = counts + e.parameters["along"] * along + e.parameters["across"] * across
-        return type("Run", (), {"counts": counts})
+            shown = shown + e.parameters["along"] * along + e.parameters["across"] * across
+        return type("Run", (), {"shown": shown})
 
     def travel(x):
         return (x[250:] - x[:-250])[:: concealed.THIN]
