@@ -600,6 +600,7 @@ def test_a_command_imports_only_what_it_needs(bench, command, code, heavy):
 def test_the_bar_is_drawn_and_then_gone(monkeypatch):
     drawn = io.StringIO()
     monkeypatch.setattr(sys, "stderr", drawn)
+    monkeypatch.setattr(cli, "LINE", 0.2)
     with cli._progress(argparse.Namespace(quiet=False)) as tell:
         tell("computing", 0.5)
         deadline = time.monotonic() + 60.0

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]
 Answer = Mapping[str, Any]
+#: In a log each time that a bar is drawn is a line: so many seconds apart.
+LINE = 30.0
 
 
 # ---- talking to the user ----
@@ -64,12 +66,11 @@ def _progress(args: argparse.Namespace) -> Iterator[Progress]:
     done = threading.Event()
 
     def draw() -> None:
-        # The work says little while it computes: a bar whose clock stands still looks like one that hangs. In a log
-        # each time is a line.
-        if not done.wait(1.0 if tty else 30.0):
+        # The work says little while it computes: a bar whose clock stands still looks like one that hangs.
+        if not done.wait(1.0 if tty else LINE):
             bar.delay = 0.0  # else tqdm takes the bar for one that was never drawn, and leaves it standing
             bar.refresh()
-            while not done.wait(0.25 if tty else 30.0):
+            while not done.wait(0.25 if tty else LINE):
                 bar.refresh()
 
     drawing = threading.Thread(target=draw, daemon=True)
