@@ -173,6 +173,33 @@ def test_a_torque_that_dead_bands_had_taken_over_is_found_on_its_own_side_of_the
     assert found.values["offset"] == pytest.approx(law["offset"], rel=0.1)
 
 
+def test_what_many_promise_in_shared_runs_is_what_each_does_in_its_own(monkeypatch) -> None:
+    structure = ready.base_structure()
+    values = {
+        "input_gain": 0.3, "viscous_friction": 3.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0,
+        "backlash_gap": 0.03, "motor_share": 0.4, "friction_share": 0.6, "tooth_frequency": 60.0, "tooth_damping": 0.5,
+    }  # fmt: skip
+    time = 0.002 * np.arange(6000)
+    duty = 40.0 * np.sin(2.0 * np.pi * (0.2 + 0.1 * time) * time)
+    law = {"coulomb_friction": 0.4, "dry_share": 0.5, "gravity_gain": 0.5, "gravity_angle": 0.3}
+    made = recorded(structure.with_("coulomb_friction", "gravity"), values | law, time, duty, duty, 40000.0)
+    cases = ready.prepare([made], structure)
+    before = valleys.settle(cases, structure, values, {}, likelihood.density_of(cases[0], 0.1))
+    rows = screening.grids(cases, before.structure, before.values)
+    rows = {e: tried for e, tried in rows.items() if e not in screening.DIRECT}
+    runs = []
+    run = likelihood.evaluate
+    monkeypatch.setattr(likelihood, "evaluate", lambda *given: runs.append(given) or run(*given))
+    together = {e.effect: e.promise for e in screening.entries(cases, before, rows)}
+    shared = len(runs)
+    alone = {}
+    for effect, tried in rows.items():
+        alone[effect] = max(screening.entries(cases, before, {effect: [row]})[0].promise for row in tried)
+    assert len(together) == len(rows) and shared < 0.5 * (len(runs) - shared)
+    assert max(together.values()) > 100.0
+    assert together == pytest.approx(alone, rel=0.02, abs=0.5)
+
+
 def test_a_side_of_the_gap_that_is_known_is_not_asked_again() -> None:
     structure = ready.base_structure()
     time = 0.002 * np.arange(2000)
