@@ -174,9 +174,10 @@ def test_a_torque_that_dead_bands_had_taken_over_is_found_on_its_own_side_of_the
 
 
 def test_what_many_promise_in_shared_runs_is_what_each_does_in_its_own(monkeypatch) -> None:
+    """Over several turns: of the smallest friction that varies with the angle some would push, which is none."""
     structure = ready.base_structure()
     values = {
-        "input_gain": 0.3, "viscous_friction": 3.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0,
+        "input_gain": 3.0, "viscous_friction": 3.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0,
         "backlash_gap": 0.03, "motor_share": 0.4, "friction_share": 0.6, "tooth_frequency": 60.0, "tooth_damping": 0.5,
     }  # fmt: skip
     time = 0.002 * np.arange(6000)
@@ -196,8 +197,9 @@ def test_what_many_promise_in_shared_runs_is_what_each_does_in_its_own(monkeypat
     for effect, tried in rows.items():
         alone[effect] = max(screening.entries(cases, before, {effect: [row]})[0].promise for row in tried)
     assert len(together) == len(rows) and shared < 0.5 * (len(runs) - shared)
-    assert max(together.values()) > 100.0
-    assert together == pytest.approx(alone, rel=0.02, abs=0.5)
+    # An impact that comes an instant earlier is worth a unit either way.
+    assert max(together.values()) > 9.0 * before.unit
+    assert together == pytest.approx(alone, rel=0.05, abs=2.0 * before.unit)
 
 
 def test_a_side_of_the_gap_that_is_known_is_not_asked_again() -> None:
