@@ -15,11 +15,13 @@ from twin.plausibility import plausible
 from twin.recording import Recording
 
 
-def lines(position, torque, effect: str, name: str, unit: str = "rad") -> list[float]:
-    """What is tried of a candidate's rate where this torque (N,) is missing at these positions (N,), every 2 ms."""
+def lines(position, torque, effect: str, name: str, unit: str = "rad", pushed=None) -> list[float]:
+    """What is tried of a candidate's rate where this torque (N,) is missing at these positions (N,), every 2 ms, under
+    such a command (N,).
+    """
     time = 0.002 * np.arange(len(torque))
     structure = Structure.of(["inertia", "viscous_friction", "dead_band"])
-    duty = np.where(time % 1.0 < 0.5, 30.0, 0.0)
+    duty = np.where(time % 1.0 < 0.5, 30.0, 0.0) if pushed is None else pushed
     case = likelihood.prepare(Recording("made", time, duty, position, "%", unit, 1e-4), structure)
     speed = np.gradient(position, time)
     missing = locate.Missing(time, torque, position, speed, np.gradient(speed, time), duty, 0.002)
@@ -92,6 +94,17 @@ def test_a_ripple_on_whole_turns_is_looked_for_in_whole_numbers(order) -> None:
     position = 25.0 * np.sin(0.4 * 0.002 * np.arange(10000))
     found = lines(position, noisy(np.sin(order * position + 1.0)), "torque_ripple", "ripple_order")
     assert found[0] == pytest.approx(order)
+
+
+@pytest.mark.parametrize("order", [7, 31, 58])
+def test_a_ripple_of_the_motor_is_looked_for_although_its_gap_turns_it_around(order) -> None:
+    """Half a gap ahead of the link under one push and behind it under the other, so that both cancel over its angle."""
+    time = 0.002 * np.arange(10000)
+    position, push = 9.0 * np.sin(0.4 * time), np.where(time % 2.0 < 1.0, 30.0, -30.0)
+    wave = np.sin(order * position + 1.0) * np.sign(push)
+    found = lines(position, noisy(wave), "torque_ripple", "ripple_order", pushed=push)
+    assert order in np.round(found, 6)
+    assert order not in np.round(lines(position, noisy(wave), "torque_ripple", "ripple_order", pushed=abs(push)), 6)
 
 
 @pytest.mark.parametrize("order", [40.0, 137.0, 290.0])

@@ -39,8 +39,11 @@ def _clipped(torque: FloatArray) -> FloatArray:
     return np.asarray(np.clip(torque, *np.quantile(torque, [0.01, 0.99])))
 
 
-def _lines(phase: FloatArray, torque: FloatArray, circle: float, lowest: float, highest: float) -> list[float]:
-    """The rates (per unit of phase) between two at which the torque (N,) is most periodic, the strongest first.
+def _lines(
+    phase: FloatArray, torques: Sequence[FloatArray], circle: float, lowest: float, highest: float
+) -> list[float]:  # fmt: skip
+    """The rates (per unit of phase) between two at which torques (N,), each NaN where it is unknown, are most periodic
+    together, whatever the phase of each; the strongest first.
 
     All rates are looked at that close after `circle`: as many in a line's width as it has ranges of the phase. The
     phase is rounded to an eighth of the shortest period.
@@ -48,10 +51,15 @@ def _lines(phase: FloatArray, torque: FloatArray, circle: float, lowest: float, 
     rate = 2.0 * math.pi / circle
     last = max(int(highest / rate), 1)
     first = min(math.ceil(lowest / rate), last)
-    place = (phase % circle * (8 * last / circle)).astype(np.intp) % (8 * last)
-    clipped = _clipped(torque)
-    around = np.bincount(place, clipped - clipped.mean(), 8 * last)
-    power = np.abs(np.fft.rfft(around)[first : last + 1])
+    power = np.zeros(last + 1 - first)
+    for torque in torques:
+        read = np.isfinite(torque)
+        if not read.any():
+            continue
+        place = (phase[read] % circle * (8 * last / circle)).astype(np.intp) % (8 * last)
+        clipped = _clipped(torque[read])
+        around = np.bincount(place, clipped - clipped.mean(), 8 * last)
+        power += np.square(np.abs(np.fft.rfft(around)[first : last + 1]))
     beside = np.pad(power, 1, constant_values=-1.0)
     peaks = np.flatnonzero((power >= beside[:-2]) & (power >= beside[2:]))
     chosen: list[float] = []
@@ -93,16 +101,17 @@ def grids(
     speeds = np.abs(missing.velocity[np.isfinite(missing.velocity)])
     fast = float(np.quantile(speeds, 0.95)) if len(speeds) else 1.0
     out["stribeck_friction"] = [{"stribeck_velocity": f * fast} for f in (0.02, 0.06, 0.15)]
-    read = np.isfinite(missing.torque)
     if travel > 0.0:
         # A ripple is one that is seen to repeat; on more than half a turn, a whole number of times a turn.
         least = REPEATS * _TURN / travel
         turning = not longest.recording.output_unit.startswith("m") and travel > 3.0
         circle, most = (_TURN, 60.0) if turning else (_FINE * travel, 45.0 * least)
-        orders = _lines(missing.position[read], missing.torque[read], circle, least, most)
-        out["torque_ripple"] = [{"ripple_order": n} for n in orders]
+        # A wave of the motor's angle is another one of the link's as the motor pushes from the other side of its gap.
+        sides = [np.where(np.sign(missing.command) == s, missing.torque, np.nan) for s in (1.0, -1.0)]
+        orders = (_lines(missing.position, t, circle, least, most) for t in ([missing.torque], sides))
+        out["torque_ripple"] = [{"ripple_order": n} for n in dict.fromkeys(itertools.chain(*orders))]
     slowest, fastest = _TURN * max(0.1, 2.0 / end), _TURN * min(25.0, 0.2 / missing.step)
-    rates = _lines(missing.time[read], missing.torque[read], _FINE * end, slowest, fastest)
+    rates = _lines(missing.time, [missing.torque], _FINE * end, slowest, fastest)
     out["periodic_disturbance"] = [{"disturbance_frequency": r / _TURN} for r in rates]
     heats = _heating(missing, values, span)
     fades = dict.fromkeys(np.clip([0.15 * end, 0.5 * end, 1.5 * end], *likelihood.bounds_of("fade_time")).tolist())
