@@ -11,7 +11,19 @@ import pytest
 from axis_runs import run, steps
 from scipy.interpolate import CubicHermiteSpline
 
-from twin import compare, extend, foretold, hold_out, identify, likelihood, locate, ready, unknown
+from twin import (
+    compare,
+    extend,
+    foretold,
+    hold_out,
+    identify,
+    likelihood,
+    locate,
+    meetings,
+    ready,
+    unknown,
+    valleys,
+)
 from twin.axis import Structure
 from twin.effects.catalogue import CANDIDATES, UNKNOWN
 from twin.effects.knots import KNOTS, held, line, names, spots, through
@@ -59,6 +71,11 @@ def with_name(case: Case, base: Point, *names: str) -> Point:
     structure = STRUCTURE.with_(*names)
     mine, free = ready.with_steps([case], structure), ready.free_parameters(structure)
     return likelihood.climb(mine, structure, ready.completed(structure, base.values), base.density, free)
+
+
+def hidden(case: Case) -> Case:
+    """The case with its first second not judged."""
+    return replace(case, unforeseen=case.drive.time < 1.0)
 
 
 def bump(at: np.ndarray) -> np.ndarray:
@@ -479,6 +496,17 @@ def test_a_name_that_a_longer_memory_makes_nothing_of_is_not_given(key, kept):
         assert (lasting.lesser, lasting.swaps) == ((), ())
         assert lasting.last.deviance <= first.deviance + 1.0
     assert extend._lasting(replace(found, last=last), last.structure)[0].last is last
+
+
+def test_what_lasts_is_asked_of_a_filter_that_forgets_no_faster_than_the_one_that_chose(monkeypatch):
+    """Meetings that nobody foresees, passed over, must not make it forget the slow torques that a name stands for."""
+    case, first = fitted("hump")
+    long = replace(first, density=likelihood.density_of(case, 0.4))
+    assert likelihood.best_density([case], long.structure, long.values, around=long.density) > 2.0 * long.density
+    monkeypatch.setattr(valleys, "sharpened", lambda cases, point: point)
+    monkeypatch.setattr(meetings, "foreseeable", lambda cases, point: list(map(hidden, cases)))
+    (judged,), point = extend._foreseeing(Search(first, long, (), (case,)))
+    assert judged.unforeseen is not None and point.density == pytest.approx(long.density)
 
 
 @pytest.mark.parametrize(("took", "drawn"), [(0.9, True), (1.1, False)])

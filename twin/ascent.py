@@ -281,12 +281,14 @@ def _elsewhere(cases: Sequence[Case], point: Point) -> Point:
     return best
 
 
-def foreseen(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:
-    """The cases as they are judged by what the point can foresee, and the maximum near it."""
+def foreseen(cases: Sequence[Case], point: Point, most: float = math.inf) -> tuple[list[Case], Point]:
+    """The cases as they are judged by what the point can foresee, and the maximum near it, at a noise density of at
+    most so much.
+    """
     judged = meetings.foreseeable(cases, point)
     if all(a.unforeseen is b.unforeseen for a, b in zip(judged, cases, strict=True)):
         return list(cases), point
-    return judged, likelihood.fit(judged, point.structure, point.values, point.free, point.density)
+    return judged, likelihood.fit(judged, point.structure, point.values, point.free, point.density, most=most)
 
 
 def polish(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:

@@ -241,9 +241,11 @@ def _beside(found: Search, nameless: Point) -> Point:
 
 
 def _foreseeing(found: Search) -> tuple[list[Case], Point]:
-    """The last model with the longest memory that it bears, and the cases as they are judged by what it foresees."""
+    """The last model with the longest memory that it bears, and the cases as they are judged by what it foresees: by a
+    filter that forgets no faster, or the slow torques that it was chosen by would be nothing to it.
+    """
     sharp = valleys.sharpened(found.cases, found.last)
-    return ascent.foreseen(ready.with_steps(found.cases, sharp.structure), sharp)
+    return ascent.foreseen(ready.with_steps(found.cases, sharp.structure), sharp, most=sharp.density)
 
 
 def _idle(cases: Sequence[Case], sharp: Point, first: Structure) -> list[str]:

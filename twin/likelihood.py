@@ -787,15 +787,17 @@ def fit(
     free: tuple[str, ...],
     density: float | None = None,
     rounds: int = 15,
+    most: float = math.inf,
 ) -> Point:
-    """Maximum likelihood over the free parameters and the noise density, alternating until neither moves.
+    """Maximum likelihood over the free parameters and the noise density, alternating until neither moves; the density
+    stays at most so much.
 
     Until the density is settled the parameters only have to be about right.
     """
     current = density if density is not None else best_density(cases, structure, values)
     point = climb(cases, structure, values, current, free, min(rounds, 5), tolerance=1.0)
     for _ in range(6):
-        found = best_density(cases, structure, point.values, around=current)
+        found = min(best_density(cases, structure, point.values, around=current), most)
         if abs(math.log10(found / current)) < 0.1:
             break
         current = found
