@@ -39,6 +39,9 @@ LAWS: dict[str, tuple[Callable[[], Array], dict[str, float]]] = {
     "quadratic_drag": (lambda: -0.06 * SPEED * np.abs(SPEED), {"quadratic_drag": 0.06}),
     "gravity": (lambda: -1.7 * np.sin(PLACE + 0.6), {"gravity_gain": 1.7, "gravity_angle": -0.6}),
     "spring": (lambda: -0.3 * (PLACE - 1.4), {"spring_stiffness": 0.3, "spring_rest": 1.4}),
+    "load_change": (
+        lambda: -0.4 * np.gradient(SPEED, TIME) * (TIME > 12.0), {"load_added": 0.4, "load_time": 12.0}
+    ),
     "torque_ripple": (
         lambda: 1.1 * np.sin(7.0 * PLACE - 2.0), {"ripple_torque": 1.1, "ripple_order": 7.0, "ripple_phase": 2.0}
     ),

@@ -22,8 +22,8 @@ from twin.locate import Missing
 
 FloatArray = NDArray[np.float64]
 
-#: Slots whose laws give torques along the way of the axis.
-TORQUES = ("load", "shaft", "drag", "grip")
+#: Slots whose laws give torques along the way of the axis, or what its acceleration makes one of.
+TORQUES = ("load", "shaft", "drag", "grip", "mass")
 #: Share of the largest speed below which an axis might as well rest: dry friction then is as large as it must be.
 _SLOW = 0.03
 #: What a regression reads, the length of what it leaves out in turn, s, and in how many turns.
@@ -80,12 +80,13 @@ def _own(states: Mapping[str, FloatArray]) -> FloatArray:
 
 def _laws(base: Structure, effect: str, row: Mapping[str, float], states: Mapping[str, FloatArray]) -> FloatArray:
     """What the effect and what it brings along add to the torque, per unit of their sizes and phases (N, sizes)."""
+    against = {"grip": states["direction"], "mass": states["acceleration"]}
     found = []
     for i, gain in _sizes(base, effect):
         page = EFFECTS[i]
         assert page.screen is not None
         unit = {**screening.neutral(effect), **row, gain: 1.0}
-        sign = -states["direction"] if page.slot == "grip" else np.ones(len(states["time"]))
+        sign = -against[page.slot] if page.slot in against else np.ones(len(states["time"]))
         law = sign * equations.along(i, states, unit)
         found.append(law)
         if page.screen.phase is not None:
