@@ -69,6 +69,7 @@ def looked_at(monkeypatch, found: Search, sharp: Point, grown: Point, swaps: lis
     rounds = [Round(sharp, (Hypothesis(grown.structure.named[-1:], grown),), 1.0)] if grown is not sharp else []
     monkeypatch.setattr(search, "_sharp", lambda cases, point: ([case], sharp))
     monkeypatch.setattr(search, "_added", lambda *rest: ([case], grown, rounds))
+    monkeypatch.setattr(search, "_resumed", lambda found, cases, best, *rest: (cases, best, []))
     monkeypatch.setattr(search, "_weighed", lambda *rest: (grown, [], list(swaps)))
     monkeypatch.setattr(search, "_levelled", lambda cases, last, rivals: [Swap("dead_band", rivals[0], grown)])
     monkeypatch.setattr(valleys, "settle", lambda cases, structure, *rest: fitted(0.0, *structure.named))
@@ -123,3 +124,33 @@ def test_looked_for_are_as_many_effects_as_there_is_room_for(monkeypatch) -> Non
         if earned < explain.HOPE * explain.PLAIN:
             monkeypatch.setattr(explain, "compete", None)
         assert search._added([], points[0], 3, names, {})[1:] == (points[0], [])
+
+
+def test_what_a_faint_effect_had_hidden_from_the_usual_filter_is_looked_for_beside_it(monkeypatch) -> None:
+    """From where the usual filter would have the model, and judged as the sharper one asks for; all that was found is
+    left as it was where nothing more shows.
+    """
+    known, usual = fitted(-2000.0, "spring", density=5.0), fitted(-900.0, "spring")
+    more = fitted(-1500.0, "spring", "motor_lag")
+    lost = Round(usual, (), 1.0, False)
+    won = Round(usual, (Hypothesis(("motor_lag",), more),), 1.0)
+    found, sharper, asked = Search(fitted(0.0), fitted(0.0), (), ()), replace(more, density=5.0), []
+
+    def settle(cases, structure, values, held, density):
+        assert structure == known.structure and density == found.last.density
+        return usual
+
+    def grow(cases, best, candidates, held, tell, most):
+        asked.append((best, most))
+        return more, [won, lost]
+
+    monkeypatch.setattr(valleys, "settle", settle)
+    monkeypatch.setattr(valleys, "rejudged", lambda cases, point, held: point)
+    monkeypatch.setattr(valleys, "relocated", lambda cases, point, held: point)
+    monkeypatch.setattr(search, "_sharp", lambda cases, point: (cases, replace(point, density=5.0)))
+    monkeypatch.setattr(search, "_grown", grow)
+    _, best, rounds = search._resumed(found, [], known, 2, CANDIDATES, {})
+    assert asked == [(usual, 2)] and rounds == [won]
+    assert best.structure == sharper.structure and best.density == sharper.density
+    monkeypatch.setattr(search, "_grown", lambda *rest: (usual, [lost]))
+    assert search._resumed(found, [], known, 2, CANDIDATES, {})[1:] == (known, [])

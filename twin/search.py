@@ -83,12 +83,15 @@ def _fair(cases: Sequence[Case], point: Point, lesser: Sequence[Point], begun: P
 
 
 def _grown(
-    cases: Sequence[Case], best: Point, candidates: Sequence[str], held: Mapping[str, float], tell: Progress
-) -> tuple[Point, list[Round]]:
-    """The model with what earns its place, one effect at a time; the rounds, of which the last may have added none."""
+    cases: Sequence[Case], best: Point, candidates: Sequence[str], held: Mapping[str, float], tell: Progress,
+    most: int = MOST,
+) -> tuple[Point, list[Round]]:  # fmt: skip
+    """The model with up to so many effects that earn their place, one at a time; the rounds, of which the last may have
+    added none.
+    """
     rounds: list[Round] = []
     known: list[Hypothesis] = []
-    while len(rounds) < MOST and (open_ := [c for c in candidates if c not in best.structure]):
+    while len(rounds) < most and (open_ := [c for c in candidates if c not in best.structure]):
         tell(f"round {len(rounds) + 1}: trying {len(open_)} effects", 0.05 + 0.2 * len(rounds))
         moved = valleys.relocated(cases, valleys.rejudged(cases, best, held), held) if rounds else best
         best = moved if plausible(cases, moved, best) else best
@@ -396,6 +399,20 @@ def _added(
     return cases, best, rounds
 
 
+def _resumed(
+    found: Search, cases: list[Case], best: Point, most: int, candidates: Sequence[str], held: Mapping[str, float]
+) -> tuple[list[Case], Point, list[Round]]:  # fmt: skip
+    """The model with up to so many more effects that the usual filter sees now, judged as it asks for; the rounds won.
+
+    What is faint to the usual filter may be so because that had lost its way for lack of it, and then missed more.
+    """
+    usual = valleys.settle(found.cases, best.structure, best.values, held, found.last.density)
+    usual = valleys.relocated(found.cases, valleys.rejudged(found.cases, usual, held), held)
+    grown, rounds = _grown(found.cases, usual, candidates, held, lambda sentence, share: None, most)
+    won = [this for this in rounds if this.won]
+    return (*_sharp(found.cases, grown), won) if won else (cases, best, [])
+
+
 def _carried(
     cases: Sequence[Case], last: Point, swaps: Sequence[Swap], held: Mapping[str, float], more: Sequence[str] = (),
     fewer: Sequence[str] = (),
@@ -431,6 +448,8 @@ def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) 
     cases, best, rounds = _added(cases, known, room, candidates, held)
     if not rounds:
         return found
+    cases, best, more = _resumed(found, cases, best, room - len(rounds), candidates, held)
+    rounds += more
     known = valleys.settle(cases, known.structure, known.values, held, best.density)
     best, _, swaps = _weighed(cases, best, known, rounds, held)
     new = [e for e in best.structure.named if e not in known.structure]
