@@ -546,6 +546,31 @@ def test_a_lost_round_is_looked_at_with_a_filter_that_remembers_longer_than_the_
     assert explain.slower(cases, lost, CANDIDATES, {}) is lost
 
 
+@pytest.mark.parametrize(("alone", "again"), [(-100.0, True), (-9000.0, False)])
+def test_what_is_far_behind_the_one_that_it_is_taken_for_is_tried_in_its_place(monkeypatch, alone, again) -> None:
+    """Not so what is near it already, and what nobody takes for it."""
+    seen = [hypothesis(-9500.0, "gravity"), hypothesis(alone, "constant_offset"), hypothesis(-90.0, "motor_lag")]
+    asked = []
+
+    def instead(cases, winner, structure, effect, held):
+        asked.append((winner.added, effect))
+        return hypothesis(-9990.0, effect)
+
+    monkeypatch.setattr(explain, "contest", lambda *rest: seen)
+    monkeypatch.setattr(explain, "_following", lambda *rest: [])
+    monkeypatch.setattr(explain, "_freed", lambda *rest: [])
+    monkeypatch.setattr(explain, "_finished", lambda cases, h, *rest: [h])
+    monkeypatch.setattr(explain, "_instead", instead)
+    monkeypatch.setattr(explain, "plausible", lambda *rest: True)
+    monkeypatch.setattr(valleys, "settle", lambda *rest: fitted(0.0))
+    monkeypatch.setattr(valleys, "deepen", lambda cases, point, held: point)
+    monkeypatch.setattr(explain, "_judged", lambda cases, before, found, held: found)
+    found = explain.compete((), fitted(0.0), (), ("gravity", "constant_offset", "motor_lag"), {})
+    assert asked == ([(("gravity",), "constant_offset")] if again else [])
+    best = {h.added[0]: h.deviance for h in found}
+    assert best == {"gravity": -9500.0, "constant_offset": -9990.0 if again else alone, "motor_lag": -90.0}
+
+
 @pytest.mark.parametrize("stiffness", [3e-4, 0.0])
 def test_a_slow_torque_is_found_beside_a_fast_one_that_nobody_looks_for(monkeypatch, stiffness: float) -> None:
     """A shaking that is no candidate drowns within a tenth of a second what a weak spring does."""

@@ -291,12 +291,20 @@ def compete(
             promising = [h.added[0] for h in near]
         before = smaller
     least = HOPE * compare.LEAST * unit
+
+    def far() -> float:
+        """The deviance above which a rival is far behind the best."""
+        gain = before.deviance - leading(1)[0].deviance
+        return before.deviance - max(CLOSE * gain, least)
+
     if before.deviance - leaders[0].deviance > least:
-        # What is easily mistaken for the best is tried in its place: the model without either may have gone astray.
-        masks = [e for e in candidates if (e,) not in best and _alike(e, leaders[0])]
+        # What is easily mistaken for the best, and is not near it, is tried in its place: the model without either may
+        # have gone astray.
+        near_it = [h.added for h in best.values() if h.deviance < far()]
+        masks = [e for e in candidates if (e,) not in near_it and _alike(e, leaders[0])]
         keep(each(lambda e: _instead(cases, leaders[0], structure, e, held), masks))
     # Those that are not far behind the best may only have ended in a lesser valley.
-    bar = before.deviance - max(CLOSE * (before.deviance - leading(1)[0].deviance), least)
+    bar = far()
     close = [h for h in leading(NEAR) if h.deviance < bar]
     keep(each(lambda h: Hypothesis(h.added, valleys.deepen(cases, h.point, held)), close))
     if unit >= WHITE:
