@@ -93,12 +93,13 @@ def test_a_slow_torque_has_to_do_no_more_than_a_shorter_memory_leaves_of_it(monk
 
 
 @pytest.mark.parametrize(
-    ("before", "left", "shown"), [(40.0, 1.5, True), (40.0, 1.0, False), (20.0, 1.5, False), (40.0, 4.0, True)]
+    ("before", "left", "shown"),
+    [(40.0, 0.0, True), (40.0, -0.5, False), (64.0, 1.0, False), (20.0, 1.5, False), (64.0, 4.0, True)],
 )
-def test_a_filter_that_can_know_too_little_vetoes_only_what_does_less_than_half(
-    monkeypatch, before, left, shown
-) -> None:
-    """A sixteenth of 40 is less than a parameter's price: what was sure at twice the memory is asked for half of it."""
+def test_a_filter_that_can_know_too_little_vetoes_nothing_that_was_sure(monkeypatch, before, left, shown) -> None:
+    """A sixteenth of 40 is less than a parameter's price, and as likely as not to look like nothing; one of 64 is not,
+    and 20 was not sure at twice the memory.
+    """
     case = likelihood.prepare(
         Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
     )

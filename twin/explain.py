@@ -119,7 +119,7 @@ def shows(cases: Sequence[Case], before: Point, after: Point) -> bool:
     a bounce rewards whatever moves the bounces to where they happened to be. A shorter memory asks for the same
     physics and is not led astray so far; but it forgets a weak and slow torque: half as long, it knows a sixteenth of
     it. So none is asked that is shorter than it need be, and none for more than such a torque could do there: where
-    that is too little to be preferred, half of it will do if the filter before was sure.
+    that is too little to be preferred, what chance makes of it says nothing against a filter that was sure.
     """
     if not compare.earns(before, after, max(each(partial(identify.roughness, cases), (before, after)))):
         return False
@@ -147,7 +147,7 @@ def _shows_faster(cases: Sequence[Case], before: Point, after: Point) -> bool:
         smaller, larger = _adapted(cases, before, after, likelihood.density_of(cases[0], shorter))
         if not _still(smaller, larger):
             too_little = least < compare.PRICE * compare.worth([smaller, larger])
-            return sure and too_little and smaller.deviance - larger.deviance > 0.5 * least
+            return sure and too_little and larger.deviance <= smaller.deviance
     return True
 
 
