@@ -145,8 +145,7 @@ def test_what_a_faint_effect_had_hidden_from_the_usual_filter_is_looked_for_besi
         return more, [won, lost]
 
     monkeypatch.setattr(valleys, "settle", settle)
-    monkeypatch.setattr(valleys, "rejudged", lambda cases, point, held: point)
-    monkeypatch.setattr(valleys, "relocated", lambda cases, point, held: point)
+    monkeypatch.setattr(search, "_moved", lambda cases, point, held: point)
     monkeypatch.setattr(search, "_sharp", lambda cases, point: (cases, replace(point, density=5.0)))
     monkeypatch.setattr(search, "_grown", grow)
     _, best, rounds = search._resumed(found, [], known, 2, CANDIDATES, {})

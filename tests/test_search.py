@@ -94,7 +94,10 @@ def test_a_slow_torque_has_to_do_no_more_than_a_shorter_memory_leaves_of_it(monk
 
 @pytest.mark.parametrize(
     ("before", "left", "shown"),
-    [(40.0, 0.0, True), (40.0, -0.5, False), (64.0, 1.0, False), (20.0, 1.5, False), (64.0, 4.0, True)],
+    [
+        (40.0, 1.5, True), (40.0, 0.0, True), (40.0, -0.5, False), (64.0, 1.0, False), (20.0, 1.5, False),
+        (40.0, 4.0, True), (64.0, 4.0, True),
+    ],
 )
 def test_a_filter_that_can_know_too_little_vetoes_nothing_that_was_sure(monkeypatch, before, left, shown) -> None:
     """A sixteenth of 40 is less than a parameter's price, and as likely as not to look like nothing; one of 64 is not,

@@ -82,6 +82,14 @@ def _fair(cases: Sequence[Case], point: Point, lesser: Sequence[Point], begun: P
     return min(fair, key=lambda q: compare.criterion(q, compare.worth([point])), default=point)
 
 
+def _moved(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
+    """The point at the noise density that it asks for, gap and teeth looked for anew; as it was where that would bend
+    an effect into something else.
+    """
+    moved = valleys.relocated(cases, valleys.rejudged(cases, point, held), held)
+    return moved if plausible(cases, moved, point) else point
+
+
 def _grown(
     cases: Sequence[Case], best: Point, candidates: Sequence[str], held: Mapping[str, float], tell: Progress,
     most: int = MOST,
@@ -93,8 +101,7 @@ def _grown(
     known: list[Hypothesis] = []
     while len(rounds) < most and (open_ := [c for c in candidates if c not in best.structure]):
         tell(f"round {len(rounds) + 1}: trying {len(open_)} effects", 0.05 + 0.2 * len(rounds))
-        moved = valleys.relocated(cases, valleys.rejudged(cases, best, held), held) if rounds else best
-        best = moved if plausible(cases, moved, best) else best
+        best = _moved(cases, best, held) if rounds else best
         usual = explain.compete(cases, best, known, open_, held)
         this = explain.slower(cases, usual, open_, held)
         if not this.won:
@@ -406,8 +413,8 @@ def _resumed(
 
     What is faint to the usual filter may be so because that had lost its way for lack of it, and then missed more.
     """
-    usual = valleys.settle(found.cases, best.structure, best.values, held, found.last.density)
-    usual = valleys.relocated(found.cases, valleys.rejudged(found.cases, usual, held), held)
+    settled = valleys.settle(found.cases, best.structure, best.values, held, found.last.density)
+    usual = _moved(found.cases, settled, held)
     grown, rounds = _grown(found.cases, usual, candidates, held, lambda sentence, share: None, most)
     won = [this for this in rounds if this.won]
     return (*_sharp(found.cases, grown), won) if won else (cases, best, [])
