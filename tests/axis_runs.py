@@ -6,7 +6,7 @@ import numpy as np
 
 from twin import kernel
 from twin.axis import Structure
-from twin.effects import knots, unknown_gain, waves
+from twin.effects import knots, unknown_gain, varying_inertia, waves
 from twin.effects.catalogue import EFFECTS, UNKNOWN
 
 #: Sizes that a small geared axis may have (duty in percent, angles in rad).
@@ -83,6 +83,8 @@ SANE: dict[str, tuple[float, float]] = {
     **dict.fromkeys(waves.names("unknown_gain", unknown_gain.HARMONICS), (-0.04, 0.04)),
     "unknown_gain_order": (0.5, 4.0),
     "unknown_push_order": (0.5, 4.0),
+    **dict.fromkeys(waves.names("unknown_inertia", varying_inertia.HARMONICS), (-0.04, 0.04)),
+    "unknown_inertia_order": (0.5, 2.0),
 }
 
 PAYLOAD = {"payload": 0.004, "moment": 0.02}

@@ -343,6 +343,23 @@ def test_each_body_has_its_own_part_of_the_dry_friction(share):
         assert states[-1, body] == pytest.approx(start[body] - 1.5 * part / inertia * time[-1], abs=1e-9)
 
 
+@pytest.mark.parametrize("speed", [0.5, -4.0, 12.0])
+def test_a_free_link_of_varying_inertia_keeps_its_energy(speed):
+    """It is fast where it is light; and pushed, it gains what the push does on its way."""
+    structure = Structure.of(("inertia", "viscous_friction", "dead_band", "unknown_inertia"))
+    values = PLAIN | {"viscous_friction": 0.0, "dead_band_forward": 0.0, "dead_band_reverse": 0.0}
+    waves = {f"unknown_inertia_{wave}_{k}": 0.0 for k in (1, 2, 3) for wave in ("sin", "cos")}
+    values |= waves | {"unknown_inertia_order": 2.0, "unknown_inertia_sin_1": 0.3, "unknown_inertia_cos_2": 0.1}
+    time = clock(4.0)
+    for push in (0.0, 3.0):
+        _, x = run(structure, values, time, np.full(len(time), push), kernel.start_state(0.4, speed, 0.0))
+        place, velocity = x[:, 0], x[:, 1]
+        inertia = 1.0 + 0.3 * np.sin(2.0 * place) + 0.1 * np.cos(4.0 * place)
+        energy = 0.5 * inertia * velocity**2 - values["input_gain"] * push * place
+        assert np.ptp(energy) < 2e-4 * np.ptp(0.5 * velocity**2)
+        assert np.ptp(velocity) > 0.2 * abs(speed)
+
+
 @pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
 def test_a_ripple_turns_with_the_body_that_it_acts_on(share):
     """Alone in a wide gap motor and link each feel their own part of it, at their own angle."""

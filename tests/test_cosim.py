@@ -101,6 +101,8 @@ MORE = {
     "unknown_angle": {"unknown_angle_sin_1": 2.0, "unknown_angle_cos_3": 1.0},
     "unknown_gain": {"unknown_gain_sin_1": 0.3, "unknown_gain_cos_3": 0.2},
     "unknown_push": {"unknown_push_forward_sin_1": 8.0, "unknown_push_reverse_cos_2": 5.0},
+    "varying_inertia": {"unknown_inertia_sin_1": 0.3, "unknown_inertia_cos_3": 0.2},
+    "unknown_inertia": {"unknown_inertia_sin_1": 0.3, "unknown_inertia_cos_3": 0.2},
     "unknown_velocity": knots.through("unknown_velocity", np.linspace(-4.0, 4.0, 12), 2.0 * np.sin(np.arange(1, 13))),
     "unknown_time": {"unknown_time_01": 1.0},
     "unknown_drag": {"unknown_drag_01": 1.0},

@@ -60,7 +60,7 @@ def test_page_is_complete(effect):
     assert set(effect.depends_on) <= dependences
     assert effect.promises <= {"dissipative", "odd", "memoryless", "state"}
     brought = {p.name for i in effect.includes for p in EFFECTS[i].parameters}
-    assert fields & names and fields <= names | brought
+    assert fields & (names or brought) and fields <= names | brought
     assert set(effect.confused_with) <= set(EFFECTS) - {effect.id}
     assert set(effect.includes) <= set(EFFECTS)
     assert (effect.law is None) == (effect.equation is not None)

@@ -13,6 +13,7 @@ from twin import figures
 from twin.axis import EVERYTHING, Structure
 from twin.effects.catalogue import BASE, EFFECTS
 from twin.effects.effect import SLOTS
+from twin.equations import trace
 from twin.writers import latex
 
 UNITS = ("rad", "m")
@@ -21,7 +22,7 @@ READ = {
     "bend": "z",
     "moment": "S_{p}", "payload": "J_{p}", "direction": r"\sigma", "transmitted": r"\lambda",
 }  # fmt: skip
-WRITTEN_OUT = [e.id for e in EFFECTS.values() if e.law is not None and len(e.parameters) <= 6]
+WRITTEN_OUT = [e.id for e in EFFECTS.values() if e.law is not None and len(trace(e.id).parameters) <= 6]
 
 
 def braces(text: str, start: int) -> int:

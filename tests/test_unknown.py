@@ -107,6 +107,7 @@ CASES = {
     "cogging": lambda: recorded(6, ("unknown_angle",), unknown_angle_order=7.0, unknown_angle_sin_1=1.5),
     "gain": lambda: recorded(7, ("unknown_gain",), unknown_gain_sin_1=0.2),
     "push": lambda: recorded(8, ("unknown_push",), unknown_push_order=3.0, unknown_push_forward_cos_1=4.0),
+    "crank": lambda: recorded(14, ("unknown_inertia",), unknown_inertia_sin_1=0.2),
     "bend": lambda: recorded(12, ("unknown_bend",), **BENT),
     "dry": lambda: recorded(13, ("coulomb_friction",), coulomb_friction=1.0),
     "nothing": lambda: recorded(5),
@@ -669,14 +670,18 @@ def test_unknown_kind_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("key", "term", "name", "size"),
-    [("gain", Term("gain"), "unknown_gain_sin_1", 0.2), ("push", Term("push", 3.0), "unknown_push_forward_cos_1", 4.0)],
+    ("key", "term", "over", "name", "size"),
+    [
+        ("gain", Term("gain"), "input", "unknown_gain_sin_1", 0.2),
+        ("push", Term("push", 3.0), "input", "unknown_push_forward_cos_1", 4.0),
+        ("crank", Term("inertia"), "acceleration", "unknown_inertia_sin_1", 0.2),
+    ],
 )
-def test_what_multiplies_the_command_is_found_and_drawn(key, term, name, size):
+def test_what_multiplies_the_command_or_the_acceleration_is_found_and_drawn(key, term, over, name, size):
     case, base = fitted(key)
     before = unknown.leftover(case, base.structure, base.values)
     assert unknown.is_left(before)
-    assert before.variables == ("position", "input")
+    assert before.variables == ("position", over)
     assert term in unknown.which_terms(before)
     found = with_curve([case], base, term)
     assert found.values[name] == pytest.approx(size, rel=0.1)

@@ -294,7 +294,7 @@ def piece(x, p, k, command, h):
         damping = 2.0 * p.joint_damping * rate * mass_m * (1.0 - mass_m)
     added = 0.0
     if has.mass:
-        added = mass(x.time + 0.5 * h, k.payload, p)
+        added = mass(x.position + 0.5 * h * x.velocity, x.time + 0.5 * h, k.payload, p)
     mass_l = 1.0 - mass_m + added
     total = mass_m + mass_l
     per_total = 1.0 / total

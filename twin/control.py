@@ -146,7 +146,7 @@ def _reach(controller: Controller) -> tuple[float, float]:
     law, p, k = controller.laws, controller.parameter_list, controller.known_list
     limit, gain = controller.settings["limit"], controller.values["input_gain"]
     damping = controller.values.get("viscous_friction", 0.0)
-    total = 1.0 + law.mass(0.0, k[0], p)
+    total = 1.0 + max(law.mass(x, 0.0, k[0], p) for x in _TURN)
 
     def spare(speed: float, side: float) -> float:
         acts = min(side * law.drive(side * limit, side * damping * speed / gain, 0.0, x, p) for x in _TURN)

@@ -163,7 +163,8 @@ def _check_structure(fmu: Fmu, controller: Controller) -> None:
     if "input_gain" not in parameters:
         return  # somebody else's FMU: only its variables can be checked
     for effect in EFFECTS.values():
-        names = {p.name for p in effect.parameters if not p.acts_on}
+        pages = (effect, *(EFFECTS[i] for i in effect.includes))
+        names = {p.name for page in pages for p in page.parameters if not p.acts_on}
         here, there = effect.id in controller.plant, names <= parameters
         if here != there:
             has, lacks = ("the controller", "the FMU") if here else ("the FMU", "the controller")

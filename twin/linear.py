@@ -69,7 +69,7 @@ def linearise(controller: Controller, position: float = 0.0) -> Linear:
     law, p = controller.laws, controller.parameter_list
     moment, payload = controller.known_list[list(KNOWN).index("moment")], controller.known_list[0]
     h = 1e-6
-    total = 1.0 + law.mass(0.0, payload, p)
+    total = 1.0 + law.mass(position, 0.0, payload, p)
     ahead, behind = (
         law.load(place, 0.0, 0.0, moment, p) + law.shaft(place, p) for place in (position + h, position - h)
     )

@@ -195,13 +195,13 @@ def check(reference: Reference, controller: Controller) -> None:
             f"{reference.kind} reference asks at t = {when:.4g} s for position {where:.4g} {controller.axis_unit}, "
             f"beyond a stop: stay between {lower:.4g} and {upper:.4g}"
         )
-    total = 1.0 + law.mass(0.0, k[0], p)
     damping = v.get("viscous_friction", 0.0)
     stride = max(1, len(reference.time) // 5000)
     worst, at = 1.0, -1
     for i in range(0, len(reference.time), stride):
         place, speed = float(reference.position[i]), float(reference.velocity[i])
         side = 1.0 if speed > 0.0 else -1.0
+        total = 1.0 + law.mass(place, 0.0, k[0], p)
         need = total * float(reference.acceleration[i]) - law.drag(place, speed, p)
         need -= law.load(place, speed, 0.0, k[1], p) + law.shaft(place, p)
         if speed != 0.0:

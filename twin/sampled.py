@@ -233,7 +233,7 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
     pace = speed + ahead * (acceleration + 0.5 * ahead * jerk)
     rise = acceleration + ahead * jerk
 
-    total = 1.0 + mass(y.time, k.payload, p)
+    total = 1.0 + mass(y.position, y.time, k.payload, p)
     turn = turning(y.position, y, p)
     pull = turn + pulling(y.position, y.velocity, y, k, p)
     resist = drag(y.position, y.velocity, p)

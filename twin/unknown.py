@@ -13,6 +13,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,6 +95,8 @@ _MEANS: Mapping[str, tuple[str, ...]] = {
     "angle, push": ("position", "input"),
     "angle, input": ("position", "input"),
     "position, input": ("position", "input"),
+    "position, acceleration": ("position", "acceleration"),
+    "angle, acceleration": ("position", "acceleration"),
     "velocity, time": ("velocity", "time"),
     "input, time": ("input", "time"),
     "input, velocity": ("input", "velocity"),
@@ -132,6 +135,7 @@ def _tables(means: Mapping[str, FloatArray], lever: float) -> dict[str, IntArray
         "input, time": 100 * _cut(means["input"], 6) + _cut(means["time"], 6),
         "input, velocity": 100 * _cut(means["input"], 8) + _cut(means["velocity"], 8),
         "position, input": 100 * _cut(means["position"], 10) + _cut(means["input"], 4),
+        "position, acceleration": 100 * _cut(means["position"], 10) + _cut(means["acceleration"], 5),
     }
     travel = float(np.ptp(means["position"]))
     if travel > 1.5 * _TURN:
@@ -141,6 +145,7 @@ def _tables(means: Mapping[str, FloatArray], lever: float) -> dict[str, IntArray
             "angle, direction": 3 * angle + direction,
             "angle, push": 3 * angle + push,
             "angle, input": 100 * (angle // 3) + _cut(means["input"], 5),
+            "angle, acceleration": 100 * (angle // 3) + _cut(means["acceleration"], 5),
         }
     for n in _ORDERS:
         # What repeats is seen to repeat.
@@ -275,10 +280,11 @@ class Term:
 #: What a term over a variable makes superfluous: it holds any straight line itself.
 _HELD = {"velocity": "viscous_friction", "drag": "viscous_friction", "input": "input_gain"}
 #: Kinds of term; each is the effect unknown_<kind>. A drag is viscous friction over time, a gain the motor's over its
-#: angle, a push a torque over the angle that differs with the command's sign, a bend friction that gives by degrees.
-TERMS = ("position", "angle", "velocity", "input", "time", "drag", "gain", "push", "bend")
+#: angle, a push a torque over the angle that differs with the command's sign, a bend friction that gives by degrees, an
+#: inertia the link's over its angle.
+TERMS = ("position", "angle", "velocity", "input", "time", "drag", "gain", "push", "bend", "inertia")
 #: Those of waves over the angle.
-_WAVES = ("angle", "gain", "push")
+_WAVES = ("angle", "gain", "push", "inertia")
 #: Ways by which friction may give, rad, from which it is looked for.
 _GIVES = (0.003, 0.01, 0.03, 0.1)
 #: So many travels make a wave's turn where the axis does not turn: what it is at one end it need not be at the other.
@@ -320,6 +326,12 @@ def _smooth(columns: FloatArray, torque: FloatArray, weight: float = 3.0) -> Flo
     return heights
 
 
+def _waves(effect: str) -> tuple[str, ...]:
+    """The parts of the waves that a term is made of, its own or of what it brings with it."""
+    pages = (EFFECTS[effect], *(EFFECTS[i] for i in EFFECTS[effect].includes))
+    return tuple(p.name for page in pages for p in page.parameters if p.estimated)
+
+
 def _first_waves(
     means: Mapping[str, FloatArray], term: Term, values: Mapping[str, float]
 ) -> tuple[dict[str, float], tuple[str, ...]]:
@@ -331,8 +343,14 @@ def _first_waves(
     ahead, behind = values.get("dead_band_forward", 0.0), values.get("dead_band_reverse", 0.0)
     over, under = u > ahead, u < -behind
     acting = np.where(over, u - ahead, np.where(under, u + behind, 0.0))
-    weights = {"angle": (np.ones(len(u)),), "gain": (gain * acting,), "push": (gain * over, gain * under)}[term.kind]
-    free = tuple(p.name for p in EFFECTS[f"unknown_{term.kind}"].parameters if p.estimated)
+    weights: tuple[NDArray[Any], ...] = (np.ones(len(u)),)
+    if term.kind == "inertia":
+        weights = (-means["acceleration"],)
+    elif term.kind == "gain":
+        weights = (gain * acting,)
+    elif term.kind == "push":
+        weights = (gain * over, gain * under)
+    free = _waves(f"unknown_{term.kind}")
     count = len(free) // (2 * len(weights))
     columns = [w * f(k * phase) for w in weights for k in range(1, count + 1) for f in (np.sin, np.cos)]
     sizes = np.linalg.lstsq(np.column_stack(columns), _clipped(means["torque"]), rcond=None)[0]
@@ -427,8 +445,8 @@ def one_wave(sketched: Point) -> Point:
     """The sketch of a term of waves with the first of them alone, once a turn: as many numbers as an effect has that
     repeats so.
     """
-    (term,) = (i for i in sketched.structure.ids if i.removeprefix("unknown_") in _WAVES)
-    mine = {p.name for p in EFFECTS[term].parameters if p.name in sketched.free}
+    (term,) = (i for i in sketched.structure.ids if i in [f"unknown_{kind}" for kind in _WAVES])
+    mine = {n for n in _waves(term) if n in sketched.free}
     first = {n for n in mine if n.endswith("_1")}
     values = {**sketched.values, **dict.fromkeys(mine - first, 0.0), f"{term}_order": 1.0}
     return replace(sketched, values=values, free=tuple(n for n in sketched.free if n not in mine - first))
@@ -449,6 +467,7 @@ def relocated(cases: Sequence[Case], point: Point) -> Point:
 _DRAWN = {
     "direction": ("velocity",), "since reversal": ("bend", "position"), "acceleration": ("input",),
     "angle, push": ("push",), "angle, input": ("gain",), "position, input": ("gain",),
+    "angle, acceleration": ("inertia",), "position, acceleration": ("inertia",),
     "input, velocity": ("input", "velocity"), "velocity, time": ("velocity", "drag"), "time": ("time", "drag"),
 }  # fmt: skip
 

@@ -35,11 +35,13 @@ from twin.effects import (
     unknown_bend,
     unknown_drag,
     unknown_gain,
+    unknown_inertia,
     unknown_input,
     unknown_position,
     unknown_push,
     unknown_time,
     unknown_velocity,
+    varying_inertia,
     viscous_friction,
 )
 from twin.effects.effect import Effect
@@ -85,6 +87,8 @@ EFFECTS: Mapping[str, Effect] = {
         unknown_bend,
         unknown_drag,
         unknown_time,
+        varying_inertia,
+        unknown_inertia,
     )
 }
 

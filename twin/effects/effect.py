@@ -25,7 +25,7 @@ SLOTS: Mapping[str, tuple[tuple[str, ...], str]] = {
     "drag": (("position", "velocity"), "smooth resistance, against the speed; laws add up"),
     "bristle": (("bend",), "friction on the motor by how far its bristles are bent; laws add up"),
     "grip": (("position", "velocity", "direction", "transmitted"), "size of the dry friction; laws add up"),
-    "mass": (("time", "payload"), "inertia added to the link; laws add up"),
+    "mass": (("position", "time", "payload"), "inertia added to the link; laws add up"),
     "sensor": (("position",), "what the sensor adds to the true position; laws add up"),
     "structure": ((), "acts through the stepper itself"),
 }

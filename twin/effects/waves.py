@@ -21,9 +21,9 @@ def parameters(prefix: str, count: int, unit: str, more: str = "") -> tuple[Para
     )
 
 
-def order(name: str) -> Parameter:
+def order(name: str, unit: str = "rad/{x}") -> Parameter:
     """How often a turn the first wave repeats."""
-    return Parameter(name, "rad/{x}", "times a turn that it repeats", None, 1e-3, start=1.0, estimated=False)
+    return Parameter(name, unit, "times a turn that it repeats", None, 1e-3, start=1.0, estimated=False)
 
 
 def line(angle: Any, prefix: str, count: int, p: Any) -> Any:
@@ -34,5 +34,17 @@ def line(angle: Any, prefix: str, count: int, p: Any) -> Any:
             total
             + getattr(p, f"{prefix}_sin_{k}") * sin(k * angle)
             + getattr(p, f"{prefix}_cos_{k}") * cos(k * angle)
+        )
+    return total
+
+
+def slope(angle: Any, prefix: str, count: int, p: Any) -> Any:
+    """How steeply the sum of the waves rises with the phase."""
+    total = 0.0
+    for k in range(1, count + 1):
+        total = (
+            total
+            + k * getattr(p, f"{prefix}_sin_{k}") * cos(k * angle)
+            - k * getattr(p, f"{prefix}_cos_{k}") * sin(k * angle)
         )
     return total

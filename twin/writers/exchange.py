@@ -121,7 +121,7 @@ def rates(x, p, k, command):
         wound = tension(x.gap, speed_m - x.velocity, side, half, stiffness, damping)
     mass_l = 1.0 - mass_m
     if has.mass:
-        mass_l = mass_l + mass(x.time, k.payload, p)
+        mass_l = mass_l + mass(x.position, x.time, k.payload, p)
 
     emf = 0.0
     if has.supply_sag:
