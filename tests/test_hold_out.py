@@ -21,12 +21,15 @@ VALUES = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, 
 COUNT = 2.0 * np.pi / 16384
 
 
-def made(supply: float = 0.0) -> Recording:
-    """Half a minute, with a logged supply that goes up and down by this share."""
+def made(supply: float = 0.0, load: float = 0.0) -> Recording:
+    """Half a minute, with a logged supply that goes up and down by this share; the load grows by one just before what
+    will be held out.
+    """
     time = 0.002 * np.arange(15000)
     duty = steps(np.random.default_rng(3), len(time), 300, 40.0)
     volts = 12.0 * (1.0 + supply * np.sin(0.7 * time))
-    y, _ = run(STRUCTURE, VALUES, time, duty * volts / float(np.median(volts)))
+    values = VALUES | {"load_added": load, "load_time": 20.9}
+    y, _ = run(STRUCTURE.with_("load_change"), values, time, duty * volts / float(np.median(volts)))
     more = {"supply": volts} if supply else {}
     return Recording("made", time, duty, np.round(y / COUNT) * COUNT, "%", "rad", COUNT, optional=more)
 
@@ -49,6 +52,11 @@ def test_a_supply_that_nobody_told_of_is_seen_there() -> None:
     volts = np.where(recording.time > held_out[0].begin, 0.5, 1.0) * recording.optional["supply"]
     (part,) = [replace(p, recording=replace(recording, optional={"supply": volts})) for p in held_out]
     assert len(hold_out.unseen(cases, point, [part])) == 1
+
+
+def test_a_load_that_grew_a_little_just_before_is_seen_there() -> None:
+    (says,) = hold_out.unseen(*fitted(made(load=0.015)))
+    assert "goes with acceleration" in says
 
 
 def test_where_every_recording_is_held_out_there_is_nothing_to_fit() -> None:

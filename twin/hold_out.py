@@ -27,7 +27,8 @@ from twin.recording import Recording, to_fit
 #: Where in a lone recording the held-out part begins and ends, as shares of it.
 END, MIDDLE = (0.7, 1.0), (0.35, 0.65)
 #: Where the last model lacks so many times as much as in what was fitted, and more than this share of the acceleration,
-#: held-out data show what training did not: larger motion alone makes more of what a fit left.
+#: held-out data show what training did not: larger motion alone makes more of what a fit left. What goes with the
+#: acceleration itself may be less: a load that grew by a fiftieth is.
 BEYOND, FAINT = 3.0, 0.02
 #: Three time constants, but no less and no more than this, a free run starts ahead of what is judged, s.
 _LEAD = (1.0, 5.0)
@@ -131,7 +132,8 @@ def unseen(cases: Sequence[Case], point: Point, held_out: Sequence[Part]) -> lis
         (case,) = ready.prepare([part.recording], point.structure)
         missing, left = lacks(case, part)
         least = FAINT * float(np.sqrt(np.mean(np.square(missing.acceleration))))
-        if unknown.is_left(left) and left.size > max(BEYOND * known, least):
+        enough = 0.0 if left.variables == ("acceleration",) else least
+        if unknown.is_left(left) and left.size > max(BEYOND * known, enough):
             size, goes = left.size, f"that goes with {' and '.join(left.variables)}"
         elif missing.size > max(BEYOND * loud, least):
             size, goes = missing.size, f"in the mean, the most at {missing.loudest:.3g} s"
