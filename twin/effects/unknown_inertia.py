@@ -26,8 +26,7 @@ EFFECT = Effect(
     promises=frozenset({"memoryless"}),
     sentence=(
         "The inertia at the link changes with the angle, by no known law: {unknown_inertia_sin_1} and "
-        "{unknown_inertia_cos_1} of the axis' own are the first wave, which repeats {unknown_inertia_order} times a "
-        "turn."
+        "{unknown_inertia_cos_1} of the axis' own are its first wave."
     ),
     reference="Wittenburg, Dynamics of Multibody Systems, 2008",
     confused_with={
