@@ -20,7 +20,7 @@ from twin import sampled
 from twin.archive import Fmu, open_fmu
 from twin.axis import KNOWN, STATES
 from twin.controller import Controller, LimitCycle
-from twin.effects.catalogue import EFFECTS
+from twin.effects.catalogue import EFFECTS, pages
 from twin.errors import BadInput
 from twin.model import Model
 from twin.reference import Reference, check, make_reference
@@ -162,14 +162,13 @@ def _check_structure(fmu: Fmu, controller: Controller) -> None:
     parameters = {node.get("name") for node in nodes if node.get("causality") == "parameter"}
     if "input_gain" not in parameters:
         return  # somebody else's FMU: only its variables can be checked
-    for effect in EFFECTS.values():
-        pages = (effect, *(EFFECTS[i] for i in effect.includes))
-        names = {p.name for page in pages for p in page.parameters if not p.acts_on}
-        here, there = effect.id in controller.plant, names <= parameters
+    for effect in EFFECTS:
+        names = {p.name for page in pages(effect) for p in page.parameters if not p.acts_on}
+        here, there = effect in controller.plant, names <= parameters
         if here != there:
             has, lacks = ("the controller", "the FMU") if here else ("the FMU", "the controller")
             raise BadInput(
-                f"{fmu.path}: {has} has {effect.id}, {lacks} has not: the controller was made for another "
+                f"{fmu.path}: {has} has {effect}, {lacks} has not: the controller was made for another "
                 "structure; design it from this FMU's model with twin control, or pass --other-structure to try it so"
             )
 

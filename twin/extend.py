@@ -28,7 +28,7 @@ from twin import (
 )
 from twin.axis import Structure
 from twin.cores import each
-from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN
+from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN, pages
 from twin.errors import BadInput
 from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
 from twin.hold_out import Part
@@ -102,9 +102,9 @@ def _findings(found: Search, model: Model, first: Structure) -> tuple[Finding, .
         page = EFFECTS[effect]
         parameters = {
             p.name: Estimate(model.values[p.name], model.std(p.name), model.unit(p.name))
-            for i in (effect, *page.includes)
-            if i not in BASE
-            for p in EFFECTS[i].parameters
+            for one in pages(effect)
+            if one.id not in BASE
+            for p in one.parameters
         }
         out.append(
             Finding(

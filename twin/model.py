@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.axis import Structure
-from twin.effects.catalogue import EFFECTS
+from twin.effects.catalogue import EFFECTS, pages
 from twin.effects.end_stop import NOWHERE
 from twin.errors import BadInput
 from twin.quantities import Parameter
@@ -85,8 +85,8 @@ class Model:
     def says(self, effect: str) -> str:
         """The sentence of an effect with the model's numbers in it; a stop that stands nowhere was not met."""
         shown = {}
-        for i in (effect, *EFFECTS[effect].includes):
-            for p in self.structure.acting(EFFECTS[i]):
+        for page in pages(effect):
+            for p in self.structure.acting(page):
                 value, std, unit, torque = self.values[p.name], self.std(p.name), self.unit(p.name), self.torque(p.name)
                 spread = f" ± {std:.2g}" if math.isfinite(std) else ""
                 text = f"{value:.3g}{spread}{'' if unit == '1' else ' ' + unit}{torque and f' ({torque})'}"

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from twin import likelihood, locate, ready
 from twin.axis import Structure
 from twin.cores import each
-from twin.effects.catalogue import CANDIDATES, EFFECTS
+from twin.effects.catalogue import CANDIDATES, EFFECTS, pages
 from twin.lanes import WIDTH
 from twin.likelihood import Case, Point
 from twin.locate import Missing
@@ -230,8 +230,8 @@ def neutral(effect: str) -> dict[str, float]:
     """Values at which the effect and what it brings along do nothing; the usual start where there is none."""
     return {
         p.name: (p.neutral if p.neutral is not None else p.start)
-        for i in (*EFFECTS[effect].includes, effect)
-        for p in EFFECTS[i].parameters
+        for page in pages(effect)
+        for p in page.parameters
     }
 
 

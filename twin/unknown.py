@@ -22,7 +22,7 @@ from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 from twin import ascent, likelihood, locate, ready, valleys
 from twin.axis import Structure
 from twin.cores import each
-from twin.effects.catalogue import EFFECTS
+from twin.effects.catalogue import pages
 from twin.effects.knots import KNOTS, names, slopes, spots, through
 from twin.likelihood import Case, Point
 from twin.locate import Missing
@@ -328,8 +328,7 @@ def _smooth(columns: FloatArray, torque: FloatArray, weight: float = 3.0) -> Flo
 
 def _waves(effect: str) -> tuple[str, ...]:
     """The parts of the waves that a term is made of, its own or of what it brings with it."""
-    pages = (EFFECTS[effect], *(EFFECTS[i] for i in EFFECTS[effect].includes))
-    return tuple(p.name for page in pages for p in page.parameters if p.estimated)
+    return tuple(p.name for page in pages(effect) for p in page.parameters if p.estimated)
 
 
 def _first_waves(

@@ -100,3 +100,8 @@ CANDIDATES: tuple[str, ...] = tuple(e.id for e in EFFECTS.values() if e.screen i
 
 #: Shapes without a name, for what no candidate describes. Never among the candidates: they would fit anything.
 UNKNOWN: tuple[str, ...] = tuple(i for i in EFFECTS if i.startswith("unknown_"))
+
+
+def pages(effect: str) -> tuple[Effect, ...]:
+    """The effect's page and those of what it cannot be without."""
+    return (EFFECTS[effect], *(EFFECTS[i] for i in EFFECTS[effect].includes))

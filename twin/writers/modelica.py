@@ -15,7 +15,7 @@ import sympy
 from sympy.printing.str import StrPrinter
 
 from twin.axis import KNOWN
-from twin.effects.catalogue import EFFECTS
+from twin.effects.catalogue import pages
 from twin.equations import trace
 from twin.model import Model
 from twin.variables import known_read
@@ -217,7 +217,7 @@ def _documentation(model: Model) -> str:
     """HTML from the pages of the effects: what each is, its law as it stands in the equations, its source."""
     parts = ["<p>A motor-driven axis. Accelerations and inertias are relative to the inertia of the axis.</p>", "<ul>"]
     for e in model.structure.effects:
-        acting = [p for i in (e.id, *e.includes) for p in model.structure.acting(EFFECTS[i])]
+        acting = [p for page in pages(e.id) for p in model.structure.acting(page)]
         values = {p.name: f"{model.values[p.name]:.4g} {model.unit(p.name)}".removesuffix(" 1") for p in acting}
         said = html.escape(e.sentence.format(**values))
         law = f"<br><code>{html.escape(_law(e.id, {}))}</code>" if e.law is not None else ""
