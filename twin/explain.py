@@ -26,7 +26,7 @@ from operator import call
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import compare, following, identify, likelihood, meetings, ready, screening, valleys
+from twin import ascent, compare, following, identify, likelihood, meetings, ready, screening, valleys
 from twin.axis import Structure
 from twin.cores import each
 from twin.effects.catalogue import EFFECTS
@@ -43,6 +43,8 @@ SURVIVORS, NEAR, FOLLOWING = 8, 4, 2
 CLOSE, HOPE = 0.4, 0.25
 #: So many of the best take each other's place where the likelihood is rough.
 EACH = 3
+#: Behind so many of the best of a lost round another effect is looked for.
+LOOKED_BEHIND = 2
 #: So often at most does a round begin again from a smaller model that its rivals have shown a better place.
 AGAIN = 3
 #: Where a unit of deviance is worth less than so many, innovations are white and what they say needs no second filter.
@@ -92,8 +94,8 @@ def contest(cases: Sequence[Case], base: Point, candidates: Sequence[str]) -> li
 class Round:
     """One addition: the model before, the rivals (the best first), and what a unit of deviance is worth among them.
 
-    `won` says whether the first of the rivals has earned its place. Where every candidate was bent into something
-    else there are none.
+    `won` says whether the first of the rivals has earned its place, or does so as soon as the next is beside it. Where
+    every candidate was bent into something else there are none.
     """
 
     before: Point
@@ -313,7 +315,28 @@ def compete(
         keep([Hypothesis(h.added, valleys.relocated(cases, h.point, held)) for h in rough])
         pairs = itertools.permutations([h for h in leading(EACH) if h.deviance < bar], 2)
         keep(each(lambda pair: _in_place_of(cases, pair[0], pair[1], structure, held), pairs))
-    return _judged(cases, before, list(best.values()), held)
+    this = _judged(cases, before, list(best.values()), held)
+    return this if this.won else _on_credit(cases, this, candidates, held)
+
+
+def _on_credit(cases: Sequence[Case], this: Round, candidates: Sequence[str], held: Mapping[str, float]) -> Round:
+    """A lost round, won by a rival that earns its place as soon as there is another one beside it, if that is so: of
+    two effects each may hide the other, so that neither by itself comes near. If the next round does not bear it out
+    it is dropped again.
+    """
+    for h in this.rivals[:LOOKED_BEHIND]:
+        if this.before.deviance - h.deviance < compare.LEAST * this.unit:
+            continue
+        open_ = [c for c in candidates if c not in h.point.structure]
+        ways = [partial(_following, cases, h.point, open_, held)]
+        ways += [partial(_finished, cases, n, held, h.point.density) for n in contest(cases, h.point, open_)[:NEAR]]
+        both = [x.point for found in each(call, ways) for x in found if plausible(cases, x.point, h.point)]
+        earning = max(both, key=partial(compare.earned, this.before), default=h.point)
+        enough = compare.earned(this.before, earning) > 2.0 * compare.LEAST
+        if enough and compare.earns(h.point, earning) and shows(cases, this.before, earning):
+            others = [o for o in this.rivals if o is not h]
+            return Round(this.before, (h, *others), this.unit)
+    return this
 
 
 def slower(cases: Sequence[Case], this: Round, candidates: Sequence[str], held: Mapping[str, float]) -> Round:
@@ -348,6 +371,18 @@ def _best(
     return best
 
 
+def _sounder(cases: Sequence[Case], before: Point, point: Point, held: Mapping[str, float]) -> Point:
+    """The point, or where it earns more with gap, shares and teeth as the smaller model has them or looked for anew:
+    a motor as light as may be rattles on and on, and of what it likes nobody can be sure.
+    """
+    own = {n: v for n, v in before.values.items() if n in ascent.SOUGHT}
+    places = (
+        lambda: valleys.relocated(cases, point, held),
+        lambda: valleys.settle(cases, point.structure, {**point.values, **own}, held, point.density),
+    )
+    return max([point, *each(call, places)], key=partial(compare.earned, before))
+
+
 def _judged(
     cases: Sequence[Case], before: Point, found: Sequence[Hypothesis], held: Mapping[str, float]
 ) -> Round:  # fmt: skip
@@ -358,9 +393,10 @@ def _judged(
     rivals = sorted(sound, key=lambda h: compare.criterion(h.point, unit))
     winner = None
     for h in rivals:
+        promises = compare.criterion(before, unit) - compare.criterion(h.point, unit) > compare.LEAST
         before, stands = _tested(cases, before, h, held)
-        if not stands and compare.earns(before, h.point):
-            moved = valleys.relocated(cases, h.point, held)
+        if not stands and promises:
+            moved = _sounder(cases, before, h.point, held)
             if moved is not h.point and plausible(cases, moved, before):
                 h = Hypothesis(h.added, moved)
                 before, stands = _tested(cases, before, h, held)
