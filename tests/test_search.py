@@ -625,3 +625,53 @@ def test_no_more_effects_than_that_are_looked_for(monkeypatch, alone: int, late:
     monkeypatch.setattr(search, "plausible", lambda cases, point, before: True)
     best, rounds = search._grown((), points[0], names, {}, lambda sentence, share: None)
     assert len(best.structure.named) == effects == sum(r.won for r in rounds) <= search.MOST
+
+
+@pytest.mark.parametrize("friction", [2.0, 0.0])
+def test_of_two_effects_that_hide_each_other_one_is_taken_on_credit(friction: float) -> None:
+    """And none where a shaking that is no candidate hides it, so that there is no other one beside it to find."""
+    count, time = 2.0 * np.pi / 8192.0, 0.002 * np.arange(7000)
+    plain = Structure.of(["inertia", "viscous_friction", "dead_band"])
+    values = {"input_gain": 0.22, "viscous_friction": 1.2, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
+    there = {"gravity_gain": 2.0, "gravity_angle": 0.4, "coulomb_friction": friction}
+    shaken = {"disturbance": 0.0 if friction else 4.0, "disturbance_frequency": 0.85, "disturbance_phase": 0.3}
+    rise = np.geomspace(0.1, 8.0, len(time) // 2)
+    duty = 60.0 * np.sin(2.0 * np.pi * 0.002 * np.cumsum(np.concatenate([rise, rise[::-1]])))
+    full = plain.with_("gravity", "coulomb_friction", "periodic_disturbance")
+    y, _ = run(full, values | there | shaken, time, duty)
+    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
+    before = valleys.settle(cases, plain, values, {}, likelihood.density_of(cases[0], valleys.MEMORY))
+    gravity = explain.contest(cases, before, ["gravity"])[0]
+    assert not compare.earns(before, gravity.point)
+    # As if its gain were just what it must be to be looked behind.
+    just = (before.deviance - gravity.deviance) / compare.LEAST
+    lost = explain.Round(before, (gravity,), 0.99 * just, won=False)
+    found = explain._on_credit(cases, lost, ("gravity", "coulomb_friction"), {})
+    assert found.won is bool(friction) and found.rivals == lost.rivals
+    if friction:
+        after = explain.compete(cases, found.rivals[0].point, (), ("coulomb_friction",), {})
+        best = after.rivals[0].point.values
+        assert after.won and best["coulomb_friction"] == pytest.approx(friction, rel=0.01)
+        assert best["gravity_gain"] == pytest.approx(2.0, rel=0.01)
+    # What gained less is not looked behind.
+    assert not explain._on_credit(cases, replace(lost, unit=1.01 * just), CANDIDATES, {}).won
+
+
+def test_what_gains_much_with_a_rattling_motor_is_tried_with_the_smaller_model_s(monkeypatch) -> None:
+    """The place that earns most is taken, not the likeliest: of what a rattle likes nobody can be sure."""
+    before = fitted(0.0, "periodic_disturbance")
+    smaller = replace(before, values={"input_gain": 0.3, "motor_share": 0.4})
+    wild = fitted(-1e4, "periodic_disturbance", "gravity", unit=1e3)
+    wild = replace(wild, values={"input_gain": 0.5, "motor_share": 0.02})
+    asked = []
+
+    def settle(cases, structure, values, held, density):
+        asked.append(values)
+        return fitted(-9e3, "periodic_disturbance", "gravity", unit=10.0)
+
+    monkeypatch.setattr(valleys, "settle", settle)
+    monkeypatch.setattr(valleys, "relocated", lambda cases, point, held: point)
+    sounder = explain._sounder((), smaller, wild, {})
+    assert asked == [{"input_gain": 0.5, "motor_share": 0.4}] and sounder.deviance == -9e3
+    monkeypatch.setattr(valleys, "settle", lambda *given: fitted(-9e3, "periodic_disturbance", "gravity", unit=1e4))
+    assert explain._sounder((), smaller, wild, {}) is wild
