@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 
 THIN = 10  # every so manieth stamp is compared: windows overlap
 ROUNDS = 8  # times that the rig's own numbers are moved
+FAIR = 0.01  # share of a sum of squares by which another move has to make it less
 NEAREST = 2  # places from which that is begun where something else stands for an effect
 
 
@@ -141,7 +142,7 @@ class Trip:
 
         most = [limit / value for value, limit in own.values()] + _numbers(loose) * [np.inf]
         found = least_squares(
-            left, np.ones(len(most)), bounds=(0.01, most), x_scale="jac", diff_step=1e-3, max_nfev=ROUNDS
+            left, np.ones(len(most)), bounds=(0.01, most), x_scale="jac", diff_step=1e-3, ftol=FAIR, max_nfev=ROUNDS
         )  # fmt: skip
         return _size(found.fun)
 
