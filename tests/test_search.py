@@ -568,10 +568,10 @@ def test_what_is_far_behind_the_one_that_it_is_taken_for_is_tried_in_its_place(m
     monkeypatch.setattr(explain, "plausible", lambda *rest: True)
     monkeypatch.setattr(valleys, "settle", lambda *rest: fitted(0.0))
     monkeypatch.setattr(valleys, "deepen", lambda cases, point, held: point)
-    monkeypatch.setattr(explain, "_judged", lambda cases, before, found, held: found)
+    monkeypatch.setattr(explain, "_judged", lambda cases, before, found, held: explain.Round(before, tuple(found), 1.0))
     found = explain.compete((), fitted(0.0), (), ("gravity", "constant_offset", "motor_lag"), {})
     assert asked == ([(("gravity",), "constant_offset")] if again else [])
-    best = {h.added[0]: h.deviance for h in found}
+    best = {h.added[0]: h.deviance for h in found.rivals}
     assert best == {"gravity": -9500.0, "constant_offset": -9990.0 if again else alone, "motor_lag": -90.0}
 
 
