@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from twin import equations, likelihood, locate, ready, screening
 from twin.axis import Structure
-from twin.effects.catalogue import EFFECTS
+from twin.effects.catalogue import EFFECTS, pages
 from twin.likelihood import Case, Point
 from twin.locate import Missing
 
@@ -67,9 +67,8 @@ def _moving(missing: Missing) -> dict[str, FloatArray]:
 
 def _sizes(base: Structure, effect: str) -> list[tuple[str, str]]:
     """The effect and what it brings along that the base lacks, each with the parameter that is its size."""
-    page = EFFECTS[effect]
-    lacking = [effect, *(i for i in page.includes if i not in base)]
-    return [(i, screen.gain) for i in lacking if (screen := EFFECTS[i].screen)]
+    lacking = (page for page in pages(effect) if page.id not in base)
+    return [(page.id, page.screen.gain) for page in lacking if page.screen]
 
 
 def _own(states: Mapping[str, FloatArray]) -> FloatArray:
