@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin import extend, hold_out, identify, likelihood, package, ready
+from twin import extend, hold_out, identify, likelihood, package, ready, unknown
 from twin.axis import Structure
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
@@ -57,6 +57,23 @@ def test_a_supply_that_nobody_told_of_is_seen_there() -> None:
 def test_a_load_that_grew_a_little_just_before_is_seen_there() -> None:
     (says,) = hold_out.unseen(*fitted(made(load=0.015)))
     assert "goes with acceleration" in says
+
+
+@pytest.mark.parametrize("more", [0.04, 0.025])
+def test_what_goes_with_the_acceleration_is_measured_by_it(monkeypatch, more: float) -> None:
+    """A chirp that ends slow makes less of a load that changed late than its quick beginning of what a fit left."""
+    cases, point, held_out = fitted(made())
+    pace = {True: 20.0, False: 6.0}
+
+    def examined(missing, lever):
+        fit = float(missing.time[0]) < held_out[0].begin
+        goes = "position" if fit else "acceleration"
+        return unknown.Leftover(0.5, 0.0, (goes,), goes, pace[fit] * (0.01 if fit else more), ())
+
+    monkeypatch.setattr(unknown, "examine", examined)
+    monkeypatch.setattr(hold_out, "_pace", lambda missing: pace[float(missing.time[0]) < held_out[0].begin])
+    said = hold_out.unseen(cases, point, held_out)
+    assert len(said) == (1 if more > 0.01 * hold_out.BEYOND else 0)
 
 
 def test_where_every_recording_is_held_out_there_is_nothing_to_fit() -> None:

@@ -675,3 +675,21 @@ def test_what_gains_much_with_a_rattling_motor_is_tried_with_the_smaller_model_s
     assert asked == [{"input_gain": 0.5, "motor_share": 0.4}] and sounder.deviance == -9e3
     monkeypatch.setattr(valleys, "settle", lambda *given: fitted(-9e3, "periodic_disturbance", "gravity", unit=1e4))
     assert explain._sounder((), smaller, wild, {}) is wild
+
+
+@pytest.mark.parametrize("gain", [0.9, 0.09])
+def test_what_would_earn_by_its_own_unit_is_tried_in_a_sounder_place_too(monkeypatch, gain: float) -> None:
+    """The round's unit is that of the best, and may be ten times another's; what earns by neither is left alone."""
+    best, other = fitted(-1e4, "gravity"), fitted(-gain * 10.0 * compare.LEAST, "motor_lag")
+    rivals, moved = [explain.Hypothesis(p.structure.named, p) for p in (best, other)], []
+
+    def sounder(cases, before, point, held):
+        moved.append(point.structure.named)
+        return point
+
+    monkeypatch.setattr(compare, "worth", lambda points: 10.0 if best in points else 1.0)
+    monkeypatch.setattr(explain, "plausible", lambda *rest: True)
+    monkeypatch.setattr(explain, "_tested", lambda cases, before, h, held: (before, False))
+    monkeypatch.setattr(explain, "_sounder", sounder)
+    assert not explain._judged((), fitted(0.0), rivals, {}).won
+    assert moved == [("gravity",), ("motor_lag",)][: 2 if gain > 0.1 else 1]

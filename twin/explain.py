@@ -394,6 +394,7 @@ def _judged(
     winner = None
     for h in rivals:
         promises = compare.criterion(before, unit) - compare.criterion(h.point, unit) > compare.LEAST
+        promises = promises or compare.earns(before, h.point)
         before, stands = _tested(cases, before, h, held)
         if not stands and promises:
             moved = _sounder(cases, before, h.point, held)
