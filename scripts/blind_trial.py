@@ -373,6 +373,12 @@ def calibration_error(given: Sequence[tuple[float, bool]]) -> float:
     return sum(n * abs(p - right) for n, p, right in rows) / len(given) if given else math.nan
 
 
+def chance_error(given: Sequence[tuple[float, bool]], draws: int = 200) -> float:
+    """The calibration error that chance alone leaves, in the mean, where each of these probabilities is right."""
+    rng, said = np.random.default_rng(0), [p for p, _ in given]
+    return float(np.mean([calibration_error([(p, bool(rng.random() < p)) for p in said]) for _ in range(draws)]))
+
+
 def confusion(outcomes: Iterable[Outcome]) -> str:
     """Truth in the rows, the first name given in the columns."""
     cells = Counter(((o.label.effects[0].id if o.label.effects else NOTHING), o.answer.first) for o in outcomes)
@@ -446,6 +452,7 @@ def summary(outcomes: Sequence[Outcome]) -> str:
     lines += ["", "probabilities of the names given, all trials", f"{'names':>6} {'said':>6} {'right':>6}"]
     lines += [f"{n:6} {p:6.3f} {right:6.3f}" for n, p, right in reliability(given)]
     lines.append(f"expected calibration error {calibration_error(given):.3f}")
+    lines.append(f"what chance makes of so many that are right {chance_error(given):.3f}")
     inside = claims(o for o in outcomes if o.label.kind != "outside")
     lines.append(f"without the trials outside the vocabulary {calibration_error(inside):.3f}")
     return "\n".join(lines)

@@ -29,6 +29,7 @@ from blind_trial import (
     Outcome,
     Planted,
     calibration_error,
+    chance_error,
     claims,
     confusion,
     main,
@@ -164,6 +165,13 @@ def test_calibration_of_claims_that_are_as_right_as_they_say_and_of_boasts() -> 
     assert sum(n for n, _, _ in reliability(honest)) == len(honest) and len(reliability(honest)) == 10
     assert reliability([(1.0, True), (0.95, False)]) == [(2, pytest.approx(0.975), 0.5)]
     assert math.isnan(calibration_error([]))
+
+
+def test_what_chance_makes_of_few_claims_that_are_as_right_as_they_say() -> None:
+    """Twenty claims of a half miss it by as much as a coin thrown twenty times does: sqrt(2 / pi) standard errors."""
+    few = [(0.55, False)] * 20
+    assert chance_error(few, 2000) == pytest.approx(math.sqrt(2.0 / math.pi * 0.55 * 0.45 / 20), rel=0.05)
+    assert chance_error([(1.0, False)] * 20) == 0.0 and math.isnan(chance_error([]))
 
 
 def test_a_name_on_a_null_rig_or_for_a_nameless_effect_is_a_wrong_claim() -> None:
