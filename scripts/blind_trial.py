@@ -452,9 +452,9 @@ def summary(outcomes: Sequence[Outcome]) -> str:
     lines += ["", "probabilities of the names given, all trials", f"{'names':>6} {'said':>6} {'right':>6}"]
     lines += [f"{n:6} {p:6.3f} {right:6.3f}" for n, p, right in reliability(given)]
     lines.append(f"expected calibration error {calibration_error(given):.3f}")
-    lines.append(f"what chance makes of so many that are right {chance_error(given):.3f}")
     inside = claims(o for o in outcomes if o.label.kind != "outside")
     lines.append(f"without the trials outside the vocabulary {calibration_error(inside):.3f}")
+    lines.append(f"calibration error that chance alone would give {chance_error(given):.3f}")
     return "\n".join(lines)
 
 

@@ -15,7 +15,7 @@ import circuit_rig
 from blind_trial import KINDS, draw
 from concealed import Concealed
 
-from twin import ascent, compare, explain, likelihood, meetings, ready, search, valleys
+from twin import ascent, explain, likelihood, meetings, ready, search, valleys
 from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES
 from twin.explain import Hypothesis, Round
@@ -115,7 +115,7 @@ def test_looked_for_are_as_many_effects_as_there_is_room_for(monkeypatch) -> Non
     monkeypatch.setattr(search, "_plainer", lambda cases, this, held: this.rivals[0].point)
     monkeypatch.setattr(search, "_sharp", lambda cases, point: (cases, point))
     for room in (0, 1, 3):
-        _, best, rounds = search._added([], points[0], room, names, {}, {})
+        _, best, rounds = search._added([], points[0], room, names, {})
         assert best is points[room] and len(rounds) == room
     # What a rig has of its own shows there, too: too little is no discovery, and next to nothing is not looked at.
     for earned in (0.9 * explain.PLAIN, 0.9 * explain.HOPE * explain.PLAIN):
@@ -123,27 +123,7 @@ def test_looked_for_are_as_many_effects_as_there_is_room_for(monkeypatch) -> Non
         monkeypatch.setattr(explain, "contest", lambda *rest, little=little: [little])
         if earned < explain.HOPE * explain.PLAIN:
             monkeypatch.setattr(explain, "compete", None)
-        assert search._added([], points[0], 3, names, {}, {})[1:] == (points[0], [])
-
-
-@pytest.mark.parametrize("other", [(), ("gravity",)])
-def test_what_the_usual_filter_nearly_saw_has_to_earn_less(monkeypatch, other: tuple[str, ...]) -> None:
-    """As much less as it had earned there, beside the same model: both see it. What none saw has to earn all."""
-    half = fitted(-0.5 * compare.LEAST - compare.PRICE, "spring")
-    two = {"normal": np.eye(2), "gradient": np.zeros(2), "scatter": np.eye(2)}
-    half = replace(half, free=(*half.free, "spring_stiffness"), **two)
-    lost = Round(fitted(0.0, *other), (Hypothesis(("spring",), half),), 1.0, won=False)
-    nearly = search._nearly(Search(fitted(0.0), fitted(0.0), (lost,), ()))
-    assert nearly == ({} if other else {"spring": pytest.approx(0.5)})
-    enough = 0.5 * (explain.PLAIN + compare.LEAST)
-    monkeypatch.setattr(explain, "compete", lambda cases, before, known, *rest: Round(before, tuple(known), 1.0))
-    monkeypatch.setattr(search, "_plainer", lambda cases, this, held: this.rivals[0].point)
-    monkeypatch.setattr(search, "_sharp", lambda cases, point: (cases, point))
-    for effect, share in (("spring", 1.01), ("spring", 0.99), ("motor_lag", 1.01)):
-        seen = Hypothesis((effect,), fitted(-share * enough, effect))
-        monkeypatch.setattr(explain, "contest", lambda *rest, seen=seen: [seen])
-        _, _, rounds = search._added([], fitted(0.0), 1, ("spring", "motor_lag"), {}, nearly)
-        assert bool(rounds) is (effect in nearly and share > 1.0)
+        assert search._added([], points[0], 3, names, {})[1:] == (points[0], [])
 
 
 def test_what_a_faint_effect_had_hidden_from_the_usual_filter_is_looked_for_beside_it(monkeypatch) -> None:

@@ -28,7 +28,8 @@ from twin.recording import Recording, to_fit
 END, MIDDLE = (0.7, 1.0), (0.35, 0.65)
 #: Where the last model lacks so many times as much as in what was fitted, and more than this share of the acceleration,
 #: held-out data show what training did not: larger motion alone makes more of what a fit left. What goes with the
-#: acceleration itself may be less, as where a load grew by a fiftieth, and is measured by it: a chirp ends slower.
+#: acceleration itself may be less, as where a load grew by a fiftieth; and smaller motion makes less of it, as where a
+#: chirp ends slow.
 BEYOND, FAINT = 3.0, 0.02
 #: Three time constants, but no less and no more than this, a free run starts ahead of what is judged, s.
 _LEAD = (1.0, 5.0)
@@ -114,9 +115,9 @@ def traces(before: Model, after: Model, parts: Sequence[tuple[str, Part]], close
     return out
 
 
-def _pace(missing: Missing) -> float:
-    """The root mean square of the acceleration."""
-    return float(np.sqrt(np.mean(np.square(missing.acceleration))))
+def _quicker(here: Missing, there: Missing) -> float:
+    """How many times as large the acceleration is here as there, in the root mean square."""
+    return here.acceleration_size / max(there.acceleration_size, 1e-300)
 
 
 def unseen(cases: Sequence[Case], point: Point, held_out: Sequence[Part]) -> list[str]:
@@ -132,15 +133,15 @@ def unseen(cases: Sequence[Case], point: Point, held_out: Sequence[Part]) -> lis
 
     fitted = [lacks(c, Part(c.recording)) for c in cases]
     known, loud = max(left.size for _, left in fitted), max(missing.size for missing, _ in fitted)
-    heavy = max(left.size / _pace(missing) for missing, left in fitted)
     said = []
     for part in held_out:
         (case,) = ready.prepare([part.recording], point.structure)
         missing, left = lacks(case, part)
-        least = FAINT * _pace(missing)
-        enough = max(BEYOND * known, least)
+        least = FAINT * missing.acceleration_size
         if left.variables == ("acceleration",):
-            enough = BEYOND * heavy * _pace(missing)
+            enough = BEYOND * max(own.size * min(_quicker(missing, there), 1.0) for there, own in fitted)
+        else:
+            enough = max(BEYOND * known, least)
         if unknown.is_left(left) and left.size > enough:
             size, goes = left.size, f"that goes with {' and '.join(left.variables)}"
         elif missing.size > max(BEYOND * loud, least):

@@ -45,6 +45,11 @@ class Missing:
         return float(np.sqrt(np.sum(np.square(read)) / max(len(read), 1)))
 
     @property
+    def acceleration_size(self) -> float:
+        """Root mean square of the acceleration of the axis."""
+        return float(np.sqrt(np.mean(np.square(self.acceleration))))
+
+    @property
     def loudest(self) -> float:
         """When it is largest, s."""
         return float(self.time[np.nanargmax(np.abs(self.torque))])

@@ -389,35 +389,17 @@ def _sharp(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:
     return mine, found
 
 
-def _nearly(found: Search) -> dict[str, float]:
-    """What share of what an effect must earn each had earned beside the last model in the usual filter's last round."""
-    if not found.rounds or found.rounds[-1].before.structure != found.last.structure:
-        return {}
-    this = found.rounds[-1]
-    had = {h.added[0]: compare.earned(this.before, h.point) / compare.LEAST for h in this.rivals}
-    return {effect: min(max(share, 0.0), 1.0) for effect, share in had.items()}
-
-
 def _added(
-    cases: list[Case], best: Point, most: int, candidates: Sequence[str], held: Mapping[str, float],
-    nearly: Mapping[str, float],
+    cases: list[Case], best: Point, most: int, candidates: Sequence[str], held: Mapping[str, float]
 ) -> tuple[list[Case], Point, list[Round]]:  # fmt: skip
-    """The model with up to so many more effects, each judged as what was found before it asks for; the rounds won.
-
-    `nearly` says for which share of what they must earn the usual filter has seen effects already: what both see has
-    to earn as much less here.
-    """
-
-    def asked(effect: str) -> float:
-        return explain.PLAIN - nearly.get(effect, 0.0) * (explain.PLAIN - compare.LEAST)
-
+    """The model with up to so many more effects, each judged as what was found before it asks for; the rounds won."""
     rounds: list[Round] = []
     while len(rounds) < most and (open_ := [c for c in candidates if c not in best.structure]):
         seen = explain.contest(cases, best, open_)
-        if not any(compare.earned(best, h.point) > explain.HOPE * asked(h.added[0]) for h in seen):
+        if not any(compare.earned(best, h.point) > explain.HOPE * explain.PLAIN for h in seen):
             break
         this = explain.compete(cases, best, seen[: explain.NEAR], open_, held)
-        if not this.won or compare.earned(this.before, this.rivals[0].point) < asked(this.rivals[0].added[0]):
+        if not this.won or compare.earned(this.before, this.rivals[0].point) < explain.PLAIN:
             break
         rounds.append(this)
         cases, best = _sharp(cases, _plainer(cases, this, held))
@@ -470,7 +452,7 @@ def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) 
     if known.density < valleys.ALIKE * found.last.density and all(c.unforeseen is None for c in cases):
         return found
     room = MOST - len(set(known.structure.named) - set(found.first.structure.named))
-    cases, best, rounds = _added(cases, known, room, candidates, held, _nearly(found))
+    cases, best, rounds = _added(cases, known, room, candidates, held)
     if not rounds:
         return found
     cases, best, more = _resumed(found, cases, best, room - len(rounds), candidates, held)
