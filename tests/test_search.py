@@ -568,6 +568,7 @@ def test_what_is_far_behind_the_one_that_it_is_taken_for_is_tried_in_its_place(m
     monkeypatch.setattr(explain, "plausible", lambda *rest: True)
     monkeypatch.setattr(valleys, "settle", lambda *rest: fitted(0.0))
     monkeypatch.setattr(valleys, "deepen", lambda cases, point, held: point)
+    monkeypatch.setattr(explain, "_on_the_other_side", lambda *rest: [])
     monkeypatch.setattr(explain, "_judged", lambda cases, before, found, held: explain.Round(before, tuple(found), 1.0))
     found = explain.compete((), fitted(0.0), (), ("gravity", "constant_offset", "motor_lag"), {})
     assert asked == ([(("gravity",), "constant_offset")] if again else [])
@@ -693,3 +694,24 @@ def test_what_would_earn_by_its_own_unit_is_tried_in_a_sounder_place_too(monkeyp
     monkeypatch.setattr(explain, "_sounder", sounder)
     assert not explain._judged((), fitted(0.0), rivals, {}).won
     assert moved == [("gravity",), ("motor_lag",)][: 2 if gain > 0.1 else 1]
+
+
+@pytest.mark.parametrize("behind", [0.0, 1.0])
+def test_a_lag_is_tried_on_the_other_side_of_the_dead_band(behind: float) -> None:
+    """Whichever side a few steps had chosen; what acts on no side is left as it is."""
+    count, time = 2.0 * np.pi / 16384.0, 0.002 * np.arange(4000)
+    plain = Structure.of(["inertia", "viscous_friction", "dead_band"])
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 8.0, "dead_band_reverse": 5.0}
+    full, there = plain.with_("motor_lag"), {"lag_time": 0.03, "lag_dead_band": behind}
+    duty = steps(np.random.default_rng(5), len(time), 100, 30.0)
+    y, _ = run(full, values | there, time, duty)
+    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
+    density = likelihood.density_of(cases[0], valleys.MEMORY)
+    before = valleys.settle(cases, plain, values, {}, density)
+    for side in (0.0, 1.0):
+        begun = valleys.settle(cases, full, values | there | {"lag_dead_band": side}, {}, density)
+        (other,) = explain._on_the_other_side(cases, before, explain.Hypothesis(("motor_lag",), begun), {})
+        assert other.point.values["lag_dead_band"] == 1.0 - side
+        assert (other.deviance < begun.deviance) == (side != behind)
+    delay = valleys.settle(cases, plain.with_("input_delay"), values | {"delay": 0.03}, {}, density)
+    assert explain._on_the_other_side(cases, before, explain.Hypothesis(("input_delay",), delay), {}) == []

@@ -239,6 +239,18 @@ def _in_place_of(
     return Hypothesis(one.added, valleys.settle(cases, own.structure, {**own.values, **shared}, held, own.density))
 
 
+def _on_the_other_side(
+    cases: Sequence[Case], before: Point, h: Hypothesis, held: Mapping[str, float]
+) -> list[Hypothesis]:  # fmt: skip
+    """What was added, on the other side of the gap or, for a lag, of the dead-band, from where it stands: a few steps
+    chose the side, and no slope leads to the other.
+    """
+    own = h.point
+    shares = [p.name for p in own.structure.parameters if p.acts_on and p.name not in before.values]
+    begun = ({**own.values, name: 0.0 if own.values[name] > 0.5 else 1.0} for name in shares if name not in held)
+    return [Hypothesis(h.added, valleys.settle(cases, own.structure, b, held, own.density)) for b in begun]
+
+
 def _better(cases: Sequence[Case], point: Point, others: Sequence[Point]) -> Point:
     """The point, or the likeliest of others of its structure that are still what their names say."""
     return min([point, *(p for p in others if plausible(cases, p, point))], key=lambda p: p.deviance)
@@ -308,7 +320,9 @@ def compete(
     # Those that are not far behind the best may only have ended in a lesser valley.
     bar = far()
     close = [h for h in leading(NEAR) if h.deviance < bar]
-    keep(each(lambda h: Hypothesis(h.added, valleys.deepen(cases, h.point, held)), close))
+    deeper = each(lambda h: Hypothesis(h.added, valleys.deepen(cases, h.point, held)), close)
+    others = each(lambda h: _on_the_other_side(cases, before, h, held), close)
+    keep([*deeper, *(h for found in others for h in found)])
     if unit >= WHITE:
         # Where the likelihood is rough the one that ended in a better valley would win, whatever its effect.
         rough = [h for h in leading(1) if h.deviance < bar]
