@@ -266,3 +266,43 @@ def test_one_friction_that_gives_is_likelier_than_two_kinds_that_do_as_well(monk
     if found is not None:
         assert set(found.ids) == {"coulomb_friction", "load_dependent_friction"}
         assert found.curve.structure == STRUCTURE.with_("unknown_bend")
+
+
+@pytest.mark.parametrize(("overtone", "verdict"), [(0.15, "partly_explained"), (0.6, "unexplained")])
+def test_a_ripple_with_an_overtone_is_a_ripple_and_one_of_many_is_none(overtone: float, verdict: str) -> None:
+    rng, time = np.random.default_rng(8), 0.002 * np.arange(8000)
+    wave = {"unknown_angle_order": 9.0, "unknown_angle_sin_1": 3.0, "unknown_angle_cos_2": 3.0 * overtone}
+    duty = steps(rng, len(time), 200, 30.0)
+    y, _ = run(STRUCTURE.with_("unknown_angle"), VALUES | wave, time, duty)
+    recording = Recording("made", time, duty, np.round(y / COUNT) * COUNT, "%", "rad", COUNT)
+    found = extend.diagnose([recording], STRUCTURE, candidates=("torque_ripple", "gravity", "coulomb_friction"))
+    assert found.verdict == verdict
+    assert [f.id for f in found.findings] == (["torque_ripple"] if verdict == "partly_explained" else [])
+    if found.findings:
+        assert found.findings[0].parameters["ripple_order"].value == pytest.approx(9.0, rel=0.01)
+
+
+def test_overtones_are_what_a_wave_has_beside_its_first_and_between_the_directions() -> None:
+    """Turned by any phase they are as large; and no ripple of another order is the curve's."""
+    blank = ready.completed(STRUCTURE.with_("unknown_push", "torque_ripple"), VALUES)
+    nothing = np.zeros(0)
+
+    def point(structure: Structure, values: dict[str, float]) -> Point:
+        return Point(structure, values, 1.0, (), 0.0, 1.0, np.eye(0), nothing, np.eye(0))
+
+    named = point(STRUCTURE.with_("torque_ripple"), blank | {"ripple_order": 12.0})
+    for phase in (0.0, 0.7, 2.0):
+        own = {"unknown_push_order": 12.1}
+        for way, sign in (("forward", 1.0), ("reverse", -1.0)):
+            # A first wave of 2, of which 0.2 depend on the direction, and a third one of 0.5.
+            own |= {f"unknown_push_{way}_sin_1": 2.0 * np.cos(phase) - sign * 0.2 * np.sin(phase)}
+            own |= {f"unknown_push_{way}_cos_1": 2.0 * np.sin(phase) + sign * 0.2 * np.cos(phase)}
+            own |= {f"unknown_push_{way}_sin_3": 0.5}
+        curve = point(STRUCTURE.with_("unknown_push"), blank | own)
+        assert redrawn.overtones(curve) == pytest.approx(np.hypot(0.2, 0.5) / 2.0)
+        assert redrawn.is_ripple(named, curve)
+        assert not redrawn.is_ripple(replace(named, values=named.values | {"ripple_order": 24.0}), curve)
+        assert not redrawn.is_ripple(replace(named, structure=STRUCTURE.with_("gravity")), curve)
+        opposite = {n: -v for n, v in own.items() if "reverse" in n}
+        assert redrawn.overtones(replace(curve, values=curve.values | opposite)) > 1.0
+    assert redrawn.overtones(named) == np.inf

@@ -192,8 +192,11 @@ def _outdone(found: Search, nameless: Point, left: Sequence[unknown.Leftover]) -
     Every real friction departs a little from its name, and a curve that may take any shape follows it; but what else
     the name says, as that friction turns with the motion, the curve does not have. So names keep their place where they
     grow again beside the curve and each still earns it there, and dry friction does that leaves little, where the curve
-    is one over the speed: what varies a motor over its turn does as friction that varies would, but is none.
+    is one over the speed: what varies a motor over its turn does as friction that varies would, but is none. A ripple
+    keeps its name from a curve that is the same ripple with its overtones.
     """
+    if redrawn.is_ripple(found.last, nameless):
+        return False
     new = [EFFECTS[i] for i in found.last.structure.named if i not in found.first.structure]
     certain = not new and left[0].p_value < CERTAIN and compare.earned(found.last, nameless) > 0.0
     earns = compare.earns(found.last, nameless)

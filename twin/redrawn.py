@@ -10,6 +10,7 @@ way as an encoder off centre shows it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -32,6 +33,14 @@ CANCELLED = 0.5
 #: Where the torques act that a curve over a variable may stand for.
 SLOTS: Mapping[str, tuple[str, ...]] = {"position": ("load", "shaft"), "velocity": ("drag",)}
 _SPOKEN = {"position": "position", "velocity": "speed"}
+#: Curves of waves over the angle, and the prefixes of their parts: one for each way that the drive pushes where that
+#: makes a difference.
+WAVES: Mapping[str, tuple[str, ...]] = {
+    "unknown_angle": ("unknown_angle",), "unknown_push": ("unknown_push_forward", "unknown_push_reverse")
+}  # fmt: skip
+#: What is periodic in the angle has overtones, in every motor and gear; where they are less than this share of its
+#: first wave, and it is the same whichever way the drive pushes, it is a ripple still.
+OVERTONES = 1.0 / 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +133,30 @@ def outdone(cases: Sequence[Case], first: Structure, last: Point, variable: str)
         f"fits better by {compare.earned(last, curve):.0f} units of deviance, where {compare.LEAST:.0f} would do."
     )
     return Redrawn(ids, curve, says)
+
+
+def overtones(curve: Point) -> float:
+    """What a curve of waves over the angle has beyond a first wave that is the same whichever way the drive pushes, as
+    a share of that, both in the root mean square; infinite for any other curve.
+    """
+    for term, prefixes in WAVES.items():
+        if term in curve.structure:
+            names = [p.name for p in EFFECTS[term].parameters if p.estimated]
+            parts = np.array([[curve.values[n] for n in names if n.startswith(f"{prefix}_")] for prefix in prefixes])
+            first = parts[:, :2].mean(axis=0)
+            parts[:, :2] -= first
+            return float(np.sqrt(np.square(parts).sum(axis=1).mean()) / max(float(np.hypot(*first)), 1e-300))
+    return math.inf
+
+
+def is_ripple(last: Point, curve: Point) -> bool:
+    """Whether a curve of waves over the angle is the torque ripple that the last model names: as many a turn, and
+    hardly more than the first of them. It does more, since no cogging is one sine; but it is nothing else.
+    """
+    if "torque_ripple" not in last.structure or overtones(curve) >= OVERTONES:
+        return False
+    order = next(curve.values[f"{term}_order"] for term in WAVES if term in curve.structure)
+    return abs(order / last.values["ripple_order"] - 1.0) < compare.LAX
 
 
 def giving(cases: Sequence[Case], first: Structure, last: Point) -> Redrawn | None:
