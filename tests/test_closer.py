@@ -15,7 +15,7 @@ import circuit_rig
 from blind_trial import KINDS, draw
 from concealed import Concealed
 
-from twin import ascent, explain, likelihood, meetings, ready, search, valleys
+from twin import ascent, compare, explain, likelihood, meetings, ready, search, valleys
 from twin.axis import Structure
 from twin.effects.catalogue import BASE, CANDIDATES
 from twin.explain import Hypothesis, Round
@@ -61,7 +61,9 @@ def fitted(deviance: float, *effects: str, density: float = 1.0) -> Point:
     )
 
 
-def looked_at(monkeypatch, found: Search, sharp: Point, grown: Point, swaps: list[Swap]) -> Search:
+def looked_at(
+    monkeypatch, found: Search, sharp: Point, grown: Point, swaps: list[Swap], settle=None
+) -> Search:  # fmt: skip
     """The closer look where the filter that the recording asks for ends here, and finds these."""
     case = likelihood.prepare(
         Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), FIRST
@@ -72,7 +74,7 @@ def looked_at(monkeypatch, found: Search, sharp: Point, grown: Point, swaps: lis
     monkeypatch.setattr(search, "_resumed", lambda found, cases, best, *rest: (cases, best, []))
     monkeypatch.setattr(search, "_weighed", lambda *rest: (grown, [], list(swaps)))
     monkeypatch.setattr(search, "_levelled", lambda cases, last, rivals: [Swap("dead_band", rivals[0], grown)])
-    monkeypatch.setattr(valleys, "settle", lambda cases, structure, *rest: fitted(0.0, *structure.named))
+    monkeypatch.setattr(valleys, "settle", settle or (lambda cases, structure, *rest: fitted(0.0, *structure.named)))
     return search.closer(found, {}, CANDIDATES)
 
 
@@ -99,6 +101,28 @@ def test_what_stood_for_what_had_been_found_does_so_beside_what_is_new(monkeypat
         assert {q.structure.named for q in seen.lesser} == {("gravity",), (new,), ()}
         assert seen.swaps[0] is mine and [(w.effect, w.rival) for w in seen.swaps[1:]] == [*pairs[:kept]]
         assert all(new in w.point.structure for w in seen.swaps[1:])
+
+
+@pytest.mark.parametrize(("asymmetric", "named"), [(-2099.0, "coulomb_friction"), (-2300.0, "friction_asymmetry")])
+def test_what_contains_a_new_effect_is_held_against_it(monkeypatch, asymmetric: float, named: str) -> None:
+    """Plain friction that only the closer look finds may be one-sided; what was found before is not asked again."""
+    found = Search(fitted(0.0), fitted(-100.0, "gravity"), (), ())
+    sharp = fitted(-2000.0, "gravity", density=2.0 * valleys.ALIKE)
+    grown = fitted(-2100.0, "gravity", "coulomb_friction")
+    wider = [
+        Swap("coulomb_friction", "friction_asymmetry", fitted(asymmetric, "gravity", "friction_asymmetry")),
+        Swap("gravity", "spring", fitted(-9000.0, "spring", "coulomb_friction")),
+    ]
+    monkeypatch.setattr(search, "_wider", lambda *rest: wider)
+    monkeypatch.setattr(compare, "worth", lambda points: 1.0)
+
+    def settle(cases, structure, *rest):
+        return next((w.point for w in wider if w.point.structure == structure), fitted(0.0, *structure.named))
+
+    seen = looked_at(monkeypatch, found, sharp, grown, [], settle)
+    assert named in seen.last.structure.named
+    other = {"coulomb_friction", "friction_asymmetry"} - {named}
+    assert [(w.effect, w.rival) for w in seen.swaps] == [(named, *other)]
 
 
 def test_looked_for_are_as_many_effects_as_there_is_room_for(monkeypatch) -> None:

@@ -466,6 +466,8 @@ def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) 
     # What had been found is judged beside what is new, each by itself.
     lesser = _fits(cases, best, held, _smaller(best.structure, first.structure))
     best = _unmet(cases, best)
+    wider = [w for w in _wider(cases, best, found.first.structure, candidates, held, rounds) if w.effect in new]
+    best, swaps = _widened(cases, best, swaps, wider, held)
     swaps += _carried(cases, best, found.swaps, held, more=new)
     return Search(first, best, (*found.rounds, *rounds), tuple(cases), (*lesser, first), tuple(swaps))
 
