@@ -14,14 +14,19 @@ Chain: duty -> delay -> saturation -> supply -> dead-band -> lag -> gain -> moto
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import exp, inf, pi, sin, sqrt
 
-import mujoco
 import numpy as np
 from concealed import Concealed, check
 from numpy.typing import NDArray
+
+try:
+    import mujoco
+except ModuleNotFoundError:
+    sys.exit("rigs in MuJoCo need the extra mujoco: pip install '.[mujoco]'")
 
 Array = NDArray[np.float64]
 TURN = 2.0 * pi

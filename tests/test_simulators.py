@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -111,3 +112,10 @@ def test_own_numbers_can_be_changed(module: Any) -> None:
     assert all(getattr(moved, name) == pytest.approx(0.9 * value) for name, (value, _) in rig.own.items())
     assert all(value < most for value, most in rig.own.values())
     assert moved.model_values().keys() == rig.model_values().keys()
+
+
+def test_without_the_extra_the_rigs_in_mujoco_say_its_name(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    monkeypatch.delitem(sys.modules, "mujoco_rig")
+    with pytest.raises(SystemExit, match="need the extra mujoco"):
+        importlib.import_module("mujoco_rig")
