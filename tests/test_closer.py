@@ -106,7 +106,8 @@ def test_what_stood_for_what_had_been_found_does_so_beside_what_is_new(monkeypat
 @pytest.mark.parametrize(("asymmetric", "named"), [(-2099.0, "coulomb_friction"), (-2300.0, "friction_asymmetry")])
 def test_what_contains_a_new_effect_is_held_against_it(monkeypatch, asymmetric: float, named: str) -> None:
     """Plain friction that only the closer look finds may be one-sided; what was found before is not asked again."""
-    found = Search(fitted(0.0), fitted(-100.0, "gravity"), (), ())
+    old = Swap("gravity", "spring", fitted(-99.0, "spring"))
+    found = Search(fitted(0.0), fitted(-100.0, "gravity"), (), (), (), (old,))
     sharp = fitted(-2000.0, "gravity", density=2.0 * valleys.ALIKE)
     grown = fitted(-2100.0, "gravity", "coulomb_friction")
     wider = [
@@ -122,7 +123,9 @@ def test_what_contains_a_new_effect_is_held_against_it(monkeypatch, asymmetric: 
     seen = looked_at(monkeypatch, found, sharp, grown, [], settle)
     assert named in seen.last.structure.named
     other = {"coulomb_friction", "friction_asymmetry"} - {named}
-    assert [(w.effect, w.rival) for w in seen.swaps] == [(named, *other)]
+    assert [(w.effect, w.rival) for w in seen.swaps] == [(named, *other), ("gravity", "spring")]
+    # What stood for what had been found does so beside what is named now.
+    assert seen.swaps[1].point.structure.named == fitted(0.0, "spring", named).structure.named
 
 
 def test_looked_for_are_as_many_effects_as_there_is_room_for(monkeypatch) -> None:

@@ -468,7 +468,8 @@ def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) 
     best = _unmet(cases, best)
     wider = [w for w in _wider(cases, best, found.first.structure, candidates, held, rounds) if w.effect in new]
     best, swaps = _widened(cases, best, swaps, wider, held)
-    swaps += _carried(cases, best, found.swaps, held, more=new)
+    added = [e for e in best.structure.named if e not in known.structure]
+    swaps += _carried(cases, best, found.swaps, held, more=added)
     return Search(first, best, (*found.rounds, *rounds), tuple(cases), (*lesser, first), tuple(swaps))
 
 
