@@ -33,11 +33,8 @@ CANCELLED = 0.5
 #: Where the torques act that a curve over a variable may stand for.
 SLOTS: Mapping[str, tuple[str, ...]] = {"position": ("load", "shaft"), "velocity": ("drag",)}
 _SPOKEN = {"position": "position", "velocity": "speed"}
-#: Curves of waves over the angle, and the prefixes of their parts: one for each way that the drive pushes where that
-#: makes a difference.
-WAVES: Mapping[str, tuple[str, ...]] = {
-    "unknown_angle": ("unknown_angle",), "unknown_push": ("unknown_push_forward", "unknown_push_reverse")
-}  # fmt: skip
+#: Curves of waves over the angle, each with the number of directions of the command that it tells apart.
+WAYS: Mapping[str, int] = {"unknown_angle": 1, "unknown_push": 2}
 #: What is periodic in the angle has overtones, in every motor and gear; where they are less than this share of its
 #: first wave, and it is the same whichever way the drive pushes, it is a ripple still.
 OVERTONES = 1.0 / 3.0
@@ -139,10 +136,9 @@ def overtones(curve: Point) -> float:
     """What a curve of waves over the angle has beyond a first wave that is the same whichever way the drive pushes, as
     a share of that, both in the root mean square; infinite for any other curve.
     """
-    for term, prefixes in WAVES.items():
+    for term in WAYS:
         if term in curve.structure:
-            names = [p.name for p in EFFECTS[term].parameters if p.estimated]
-            parts = np.array([[curve.values[n] for n in names if n.startswith(f"{prefix}_")] for prefix in prefixes])
+            parts = np.array([curve.values[n] for n in unknown.wave_parts(term)]).reshape(WAYS[term], -1)
             first = parts[:, :2].mean(axis=0)
             parts[:, :2] -= first
             return float(np.sqrt(np.square(parts).sum(axis=1).mean()) / max(float(np.hypot(*first)), 1e-300))
@@ -155,7 +151,7 @@ def is_ripple(last: Point, curve: Point) -> bool:
     """
     if "torque_ripple" not in last.structure or overtones(curve) >= OVERTONES:
         return False
-    order = next(curve.values[f"{term}_order"] for term in WAVES if term in curve.structure)
+    order = next(curve.values[f"{term}_order"] for term in WAYS if term in curve.structure)
     return abs(order / last.values["ripple_order"] - 1.0) < compare.LAX
 
 

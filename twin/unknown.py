@@ -326,8 +326,10 @@ def _smooth(columns: FloatArray, torque: FloatArray, weight: float = 3.0) -> Flo
     return heights
 
 
-def _parts(effect: str) -> tuple[str, ...]:
-    """The parts of the waves that a term is made of, its own or of what it brings with it."""
+def wave_parts(effect: str) -> tuple[str, ...]:
+    """Names of the parts of the waves that a term is made of, its own or of what it brings with it: a sine and a cosine
+    for each, in order, all those of one direction before the other's.
+    """
     return tuple(p.name for page in pages(effect) for p in page.parameters if p.estimated)
 
 
@@ -349,7 +351,7 @@ def _first_waves(
         weights = (gain * acting,)
     elif term.kind == "push":
         weights = (gain * over, gain * under)
-    free = _parts(f"unknown_{term.kind}")
+    free = wave_parts(f"unknown_{term.kind}")
     count = len(free) // (2 * len(weights))
     columns = [w * f(k * phase) for w in weights for k in range(1, count + 1) for f in (np.sin, np.cos)]
     sizes = np.linalg.lstsq(np.column_stack(columns), _clipped(means["torque"]), rcond=None)[0]
@@ -445,7 +447,7 @@ def one_wave(sketched: Point) -> Point:
     repeats so.
     """
     (term,) = (i for i in sketched.structure.ids if i in [f"unknown_{kind}" for kind in _WAVES])
-    mine = {n for n in _parts(term) if n in sketched.free}
+    mine = {n for n in wave_parts(term) if n in sketched.free}
     first = {n for n in mine if n.endswith("_1")}
     values = {**sketched.values, **dict.fromkeys(mine - first, 0.0), f"{term}_order": 1.0}
     return replace(sketched, values=values, free=tuple(n for n in sketched.free if n not in mine - first))
