@@ -48,11 +48,13 @@ VALUES = {
     "eccentricity": 0.02,
     "disturbance": 1.0,
     "disturbance_frequency": 0.7,
+    "unknown_swing_share": 0.3,
 }
 #: With compliance there is no rigid contact, without it there is: both are needed to have every effect on.
 RIGID = EVERYTHING.without("joint_elasticity", "tooth_compliance")
-NAMES = ("position", "velocity", "position_measured", "gap", "motor_velocity", "lag", "heat", "bend")
-COLUMNS = (0, 1, None, 2, 3, 4, 5, 6)
+NAMES = ("position", "velocity", "position_measured", "gap", "motor_velocity", "lag", "heat", "bend", "ride",
+         "ride_velocity")  # fmt: skip
+COLUMNS = (0, 1, None, 2, 3, 4, 5, 6, 7, 8)
 #: Exact in binary, so that stamps, spans and edges of the delay carry no rounding for the motion to amplify.
 PERIOD = 2.0**-9
 

@@ -18,6 +18,7 @@ from twin.effects.catalogue import BASE, EFFECTS
 
 COUNT = 2.0 * math.pi / 10000.0
 PLAIN = {"input_gain": 0.3, "viscous_friction": 2.0, "dead_band_forward": 4.0, "dead_band_reverse": 5.0}
+RIDE = list(STATES).index("ride")
 GAP = {"backlash_gap": 0.04, "motor_share": 0.25, "friction_share": 0.7}
 
 
@@ -358,6 +359,42 @@ def test_a_free_link_of_varying_inertia_keeps_its_energy(speed):
         energy = 0.5 * inertia * velocity**2 - values["input_gain"] * push * place
         assert np.ptp(energy) < 2e-4 * np.ptp(0.5 * velocity**2)
         assert np.ptp(velocity) > 0.2 * abs(speed)
+
+
+@pytest.mark.parametrize(("stiffness", "damping"), [(0.0, 3.0), (160.0, 1.0), (400.0, 0.0)])
+def test_what_rides_on_the_link_against_an_adaptive_integrator(stiffness, damping):
+    """A link of two bodies in mesh, each pulled by the other; the rider's states are relative."""
+    structure = Structure.of(("inertia", "viscous_friction", "unknown_swing"))
+    hold = {"unknown_swing_share": 0.4, "unknown_swing_stiffness": stiffness, "unknown_swing_damping": damping}
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, **hold}
+    time, command = clock(2.0), np.repeat([40.0, 0.0, -25.0, 10.0], 250)
+    _, states = run(structure, values, time, command)
+
+    def motion(t, y, push):
+        tug = stiffness * (y[2] - y[0]) + damping * (y[3] - y[1])
+        return [y[1], push - 2.0 * y[1] + 0.4 * tug, y[3], -tug]
+
+    y = np.zeros(4)
+    for i in range(0, len(command), 250):
+        y = solve_ivp(motion, (time[i], time[i + 250]), y, args=(0.4 * command[i],), rtol=1e-10, atol=1e-12).y[:, -1]
+    assert states[-1, :2] == pytest.approx(y[:2], abs=COUNT / 4)
+    assert states[-1, [RIDE, RIDE + 1]] == pytest.approx([y[2] - y[0], y[3] - y[1]], abs=2e-3)
+
+
+@pytest.mark.parametrize("stiff", [False, True])
+def test_blows_of_the_teeth_leave_what_rides_on_the_link_where_it_is(stiff):
+    """Nothing from outside acts: whatever knocks, the momentum of motor, link and rider is what it was."""
+    structure = Structure.of((*BASE, "unknown_swing", *(("tooth_compliance",) if stiff else ())))
+    hold = {"unknown_swing_share": 0.5, "unknown_swing_stiffness": 200.0, "unknown_swing_damping": 1.0}
+    values = PLAIN | GAP | {"viscous_friction": 0.0, "tooth_frequency": 150.0, "tooth_damping": 0.2} | hold
+    time = clock(1.0)
+    start = kernel.start_state(0.0, -1.0, 0.0)
+    start[3] = 3.0
+    _, x = run(structure, {p.name: values[p.name] for p in structure.parameters}, time, np.zeros(len(time)), start)
+    share = GAP["motor_share"]
+    momentum = share * x[:, 3] + (1.0 - share) * x[:, 1] + 0.5 * (x[:, 1] + x[:, RIDE + 1])
+    assert np.ptp(x[:, 1]) > 0.3 and np.ptp(x[:, RIDE + 1]) > 0.3
+    assert momentum == pytest.approx(momentum[0], abs=1e-3)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4, 1.0])

@@ -97,6 +97,9 @@ SPEEDS = np.linspace(-8.0, 8.0, KNOTS)
 HUMP = through("unknown_velocity", SPEEDS, 2.5 * np.sign(SPEEDS) * np.exp(-((np.abs(SPEEDS) - 4.0) ** 2)))
 #: Friction that gives by three degrees before it slides.
 BENT = {"unknown_bend_level": 1.0, "unknown_bend_give": 0.05}
+#: A liquid that the walls of its vessel drag along, and a load that hangs from the link and swings twice a second.
+LIQUID = {"unknown_swing_share": 0.3, "unknown_swing_stiffness": 0.0, "unknown_swing_damping": 3.0}
+HANGING = {"unknown_swing_share": 0.3, "unknown_swing_stiffness": 160.0, "unknown_swing_damping": 1.0}
 CASES = {
     "hump": lambda: recorded(10, ("unknown_velocity",), **HUMP),
     "humped": lambda: recorded(11, ("unknown_velocity", "coulomb_friction"), coulomb_friction=3.0, **HUMP),
@@ -109,6 +112,8 @@ CASES = {
     "push": lambda: recorded(8, ("unknown_push",), unknown_push_order=3.0, unknown_push_forward_cos_1=4.0),
     "crank": lambda: recorded(14, ("unknown_inertia",), unknown_inertia_sin_1=0.2),
     "bend": lambda: recorded(12, ("unknown_bend",), **BENT),
+    "liquid": lambda: recorded(15, ("unknown_swing",), **LIQUID),
+    "hanging": lambda: recorded(15, ("unknown_swing",), **HANGING),
     "dry": lambda: recorded(13, ("coulomb_friction",), coulomb_friction=1.0),
     "nothing": lambda: recorded(5),
 }
@@ -715,6 +720,28 @@ def test_friction_that_gives_is_told_from_friction_that_holds():
     case, point = fitted("dry")
     gives, holds = with_curve([case], point, Term("bend")), with_name(case, point, "coulomb_friction")
     assert compare.ahead(gives, holds) < 0.0 and not plausible([case], gives)
+
+
+@pytest.mark.parametrize("which", ["liquid", "hanging"])
+def test_what_rides_on_the_link_is_told_from_a_joint_that_rings(which: str) -> None:
+    case, point = fitted(which)
+    rides = with_curve([case], point, Term("swing"))
+    truth = {"liquid": LIQUID, "hanging": HANGING}[which]
+    assert rides.values == pytest.approx({**rides.values, **truth}, rel=0.05, abs=0.3)
+    assert plausible([case], rides)
+    for name in ("motor_lag", "load_change", "joint_elasticity", "coulomb_friction"):
+        assert compare.earns(with_name(case, point, name), rides)
+
+
+def test_what_is_held_as_if_it_were_part_of_the_link_rides_on_nothing() -> None:
+    case, point = fitted("nothing")
+    rides = with_curve([case], point, Term("swing"))
+    assert not compare.earns(point, rides)
+    for hold in ("unknown_swing_stiffness", "unknown_swing_damping"):
+        firmly = {**rides.values, "unknown_swing_stiffness": 10.0, "unknown_swing_damping": 1.0}
+        assert plausible([case], replace(rides, values=firmly))
+        firmly[hold] = likelihood.bounds_of(hold)[1]
+        assert not plausible([case], replace(rides, values=firmly))
 
 
 def test_friction_that_gives_by_a_count_is_none():

@@ -38,6 +38,8 @@ STATES: dict[str, tuple[str, str]] = {
     "lag": ("{u}", "command behind the lag"),
     "heat": ("1", "warming of the motor"),
     "bend": ("1", "how far the motor's friction is bent, as a share of what it gives before it slides"),
+    "ride": ("{x}", "position of what rides on the link minus that of the link"),
+    "ride_velocity": ("{x}/s", "velocity of what rides on the link minus that of the link"),
     "time": ("s", "time since the start"),
 }
 
@@ -242,6 +244,11 @@ def bent_by(bend, way, give):
     return side + (bend - side) * exp(-side * way / give)
 
 
+def tugging(way, speed, stiffness, damping):
+    """Acceleration by which a spring and a damper draw back what rides on the link."""
+    return stiffness * way + damping * speed
+
+
 def halved(length, rate, most):
     """A length, halved until it is no more than `most` at a rate: one that a parameter moved would have a slope."""
     for _ in range(12):
@@ -312,8 +319,12 @@ def piece(x, p, k, command, h):
             side = -1
     if side != 0 and elastic == 0:
         if closing != 0.0:
-            x.velocity = (mass_m * x.motor_velocity + mass_l * x.velocity) / total
-            x.motor_velocity = x.velocity
+            joint = (mass_m * x.motor_velocity + mass_l * x.velocity) / total
+            if has.rider:
+                # A blow leaves it as it was.
+                x.ride_velocity = x.ride_velocity + x.velocity - joint
+            x.velocity = joint
+            x.motor_velocity = joint
             closing = 0.0
         if side == 2:
             x.gap = 0.0
@@ -397,6 +408,7 @@ def piece(x, p, k, command, h):
         varies = 1
     gain_l = 0.0
     gain_m = 0.0
+    tug = 0.0
     acting = 0.0
     fed = 0.0
     decay = 0.0
@@ -490,6 +502,15 @@ def piece(x, p, k, command, h):
                 held = bristle(leaning, p)
                 push_m = push_m + held
             push_l = pull + (1.0 - share) * resist_l
+            if has.rider:
+                if stage == 0:
+                    tug = tugging(x.ride, x.ride_velocity, p.unknown_swing_stiffness, p.unknown_swing_damping)
+                else:
+                    ride = x.ride + middle * x.ride_velocity
+                    speed = x.ride_velocity - speed_l + x.velocity - middle * tug
+                    tug = tugging(ride, speed, p.unknown_swing_stiffness, p.unknown_swing_damping)
+                drawn = rider(tug, p)
+                push_l = push_l + drawn
             if has.shaft:
                 turn_m = shaft(place + twist, p)
                 turn_l = shaft(place, p)
@@ -596,6 +617,7 @@ def piece(x, p, k, command, h):
 
     span = h
     before = x.motor_velocity
+    before_l = x.velocity
     if flow == 1:
         x.position = x.position + travel
         x.gap = twist_after
@@ -660,6 +682,13 @@ def piece(x, p, k, command, h):
     if has.bristle:
         leaning = bent_by(x.bend, 0.5 * span * (before + x.motor_velocity), p.unknown_bend_give)
         x.bend = leaning
+    if has.rider:
+        # It stays behind by what the link gains.
+        x.ride = x.ride + 0.5 * span * x.ride_velocity
+        slows = 0.5 * span * p.unknown_swing_damping
+        kept = x.ride_velocity * (1.0 - slows) - x.velocity + before_l - span * p.unknown_swing_stiffness * x.ride
+        x.ride_velocity = kept / (1.0 + slows)
+        x.ride = x.ride + 0.5 * span * x.ride_velocity
     x.time = x.time + span
     return span
 
@@ -686,11 +715,16 @@ def step(x, p, k, command, h):
     if has.thermal_fade:
         if faded(x.heat):
             x.heat = 0.0
+    if has.rider:
+        if faded(x.ride):
+            x.ride = 0.0
+        if faded(x.ride_velocity):
+            x.ride_velocity = 0.0
     return remaining
 
 
 #: The stepper's functions, in the order in which they call one another.
 STEPPER = (
-    net, tension, reaching, stopping, faded, cos_of_root, sinc_of_root, clipped, beyond, mean_beyond, bent_by, halved,
-    piece, step,
+    net, tension, reaching, stopping, faded, cos_of_root, sinc_of_root, clipped, beyond, mean_beyond, bent_by, tugging,
+    halved, piece, step,
 )  # fmt: skip

@@ -28,18 +28,20 @@ CALM_ELASTIC = 0.12  # the same for compliant teeth, which throw the link back: 
 FULL_DRIVE = {"%": 100.0}
 SPREAD_OF_NOISE = 0.03  # share of the limit that noise may take of the command
 SENSITIVE = 2.0  # largest sensitivity of a loop designed without an asked bandwidth
+#: What nobody sees of what acts there.
+_UNSEEN = {"bristle": "how far it is bent", "rider": "where it is in its swing"}
 _TURN = np.linspace(0.0, 2.0 * math.pi, 25).tolist()  # places at one of which the motor is about at its weakest
 
 
 def _cancelled(model: Model) -> Structure:
     """What observer and inverse contain: all but what hangs on a moment, a wall, or rings beyond the loop, and but
-    friction that gives: how far it is bent nobody sees.
+    what has a motion of its own that nobody sees.
     """
     left_out = []
     for effect in model.structure.effects:
         moment = effect.slot in ("load", "mass") and "time" in effect.depends_on
         rings = effect.station == "transmission" and "backlash" in effect.includes
-        unseen = effect.slot == "bristle" or effect.station == "disturbance"
+        unseen = effect.slot in _UNSEEN or effect.station == "disturbance"
         if moment or rings or unseen or effect.id == "end_stop":
             left_out.append(effect.id)
     return model.structure.without(*left_out).with_("constant_offset")
@@ -274,7 +276,7 @@ def _remarks(model: Model, controller: Controller) -> list[str]:
                     f"{upper:.4g} {model.axis_unit}."
                 )
             else:
-                unknown = "how far it is bent" if effect.slot == "bristle" else "its moment on the rig"
+                unknown = _UNSEEN.get(effect.slot, "its moment on the rig")
                 says.append(
                     f"{effect.id}: {unknown} is not known, so it is not cancelled; "
                     "the integral action takes what it can."

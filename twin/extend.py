@@ -51,7 +51,7 @@ DRY = 0.3
 #: earn no more than its knots' price.
 CERTAIN = 0.001
 #: Shapes that are tried whatever the missing torque shows: the likelihood sees more of them than its averages do.
-ALWAYS = ("position", "velocity", "input", "time", "drag", "bend")
+ALWAYS = ("position", "velocity", "input", "time", "drag", "bend", "swing")
 
 
 def _fitness(chosen: Sequence[Trace], which: str, white: float) -> Fitness:

@@ -144,6 +144,13 @@ def _gives(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
     return max(seen) < values["unknown_bend_give"] < GIVES * float(np.ptp(_places(cases)))
 
 
+def _swings(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+    """It is held loosely enough to be left behind: what is not is inertia of the link."""
+    _, stiffest = likelihood.bounds_of("unknown_swing_stiffness")
+    _, most = likelihood.bounds_of("unknown_swing_damping")
+    return values["unknown_swing_stiffness"] < stiffest / 1.5 and values["unknown_swing_damping"] < most / 1.5
+
+
 RULES: Mapping[str, Rule] = {
     "load_change": _load,
     "torque_ripple": _ripple,
@@ -158,6 +165,7 @@ RULES: Mapping[str, Rule] = {
     "position_dependent_friction": _varying,
     "end_stop": _stop,
     "unknown_bend": _gives,
+    "unknown_swing": _swings,
 }
 
 

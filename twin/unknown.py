@@ -22,7 +22,7 @@ from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 from twin import ascent, likelihood, locate, ready, valleys
 from twin.axis import Structure
 from twin.cores import each
-from twin.effects.catalogue import pages
+from twin.effects.catalogue import EFFECTS, pages
 from twin.effects.knots import KNOTS, names, slopes, spots, through
 from twin.likelihood import Case, Point
 from twin.locate import Missing
@@ -280,13 +280,15 @@ class Term:
 #: What a term over a variable makes superfluous: it holds any straight line itself.
 _HELD = {"velocity": "viscous_friction", "drag": "viscous_friction", "input": "input_gain"}
 #: Kinds of term; each is the effect unknown_<kind>. A drag is viscous friction over time, a gain the motor's over its
-#: angle, a push a torque over the angle that differs with the command's sign, a bend friction that gives by degrees, an
-#: inertia the link's over its angle.
-TERMS = ("position", "angle", "velocity", "input", "time", "drag", "gain", "push", "bend", "inertia")
+#: angle, a push a torque over the angle that differs with the command's sign, a bend friction that gives by degrees, a
+#: swing that of something which rides on the link, an inertia the link's over its angle.
+TERMS = ("position", "angle", "velocity", "input", "time", "drag", "gain", "push", "bend", "swing", "inertia")
 #: Those of waves over the angle.
 _WAVES = ("angle", "gain", "push", "inertia")
-#: Ways by which friction may give, rad, from which it is looked for.
+#: Ways by which friction may give, rad, and springs (1/s^2) and dampers (1/s) by which something may ride along, from
+#: which they are looked for.
 _GIVES = (0.003, 0.01, 0.03, 0.1)
+_HOLDS = ((0.0, 0.5), (0.0, 4.0), (20.0, 1.0), (100.0, 2.0), (500.0, 4.0), (2000.0, 8.0))
 #: So many travels make a wave's turn where the axis does not turn: what it is at one end it need not be at the other.
 _ROOM = 1.5
 #: Knots of the finer line that shows where a curve bends.
@@ -408,22 +410,27 @@ def _where_judged(case: Case, missing: Missing) -> Missing:
     return replace(missing, torque=torque) if enough else missing
 
 
-def bent(cases: Sequence[Case], base: Point) -> Point:
-    """The base model and friction that gives, after a few steps from the likeliest of some ways."""
-    structure, names = base.structure.with_("unknown_bend"), ("unknown_bend_level", "unknown_bend_give")
-    mine, lever = ready.with_steps(cases, structure), max(c.recording.lever for c in cases)
-    starts = ({**base.values, names[0]: 0.0, names[1]: way * lever} for way in _GIVES)
-    free = (*base.free, names[0])
-    trials = each(lambda v: likelihood.climb(mine, structure, v, base.density, free, rounds=5, tolerance=1.0), starts)
-    best = min(trials, key=lambda p: p.deviance)
-    return likelihood.climb(mine, structure, best.values, base.density, (*base.free, *names), rounds=5, tolerance=1.0)
+def remembering(cases: Sequence[Case], base: Point, term: Term) -> Point:
+    """The base model and a term with a state of its own, after a few steps from the likeliest of some starts."""
+    structure, lever = base.structure.with_(f"unknown_{term.kind}"), max(c.recording.lever for c in cases)
+    starts = [{"unknown_bend_give": way * lever} for way in _GIVES]
+    if term.kind == "swing":
+        starts = [{"unknown_swing_stiffness": k, "unknown_swing_damping": d} for k, d in _HOLDS]
+    size, *others = (p.name for p in EFFECTS[f"unknown_{term.kind}"].parameters)
+    mine, free = ready.with_steps(cases, structure), (*base.free, size)
+
+    def climbed(values: Mapping[str, float], free: tuple[str, ...]) -> Point:
+        return likelihood.climb(mine, structure, values, base.density, free, rounds=5, tolerance=1.0)
+
+    trials = each(lambda start: climbed({**base.values, size: 0.0, **start}, free), starts)
+    return climbed(min(trials, key=lambda p: p.deviance).values, (*free, *others))
 
 
 def sketch(cases: Sequence[Case], base: Point, term: Term) -> Point:
     """The base model and a term of no known shape, after a few steps at the base's noise density."""
     kind = term.kind
-    if kind == "bend":
-        return bent(cases, base)
+    if kind in ("bend", "swing"):
+        return remembering(cases, base, term)
     structure = base.structure.with_(f"unknown_{kind}")
     mine = ready.with_steps(cases, structure)
     parts = [_averages(_where_judged(c, locate.missing_torque(c, base.structure, base.values))) for c in mine]

@@ -22,6 +22,7 @@ from twin.writers.python import numbering, resolve
 #: What stands behind the states: their rates, the modes, the margins whose zeros are events, and torques.
 BEHIND = (
     "rate_position", "rate_velocity", "rate_gap", "rate_motor_velocity", "rate_lag", "rate_heat", "rate_bend",
+    "rate_ride", "rate_ride_velocity",
     "mode_motor", "mode_link", "margin_motor", "margin_link", "margin_upper", "margin_lower",
     "push_motor", "push_link", "forward_motor", "reverse_motor", "forward_link", "reverse_link",
 )  # fmt: skip
@@ -41,6 +42,8 @@ def continuous(structure: Structure) -> tuple[str, ...]:
         "lag": "motor_lag" in structure,
         "heat": "thermal_fade" in structure,
         "bend": "bristle" in structure.slots,
+        "ride": "rider" in structure.slots,
+        "ride_velocity": "rider" in structure.slots,
     }
     return tuple(name for name in STATES if name != "time" and present.get(name, True))
 
@@ -152,6 +155,11 @@ def rates(x, p, k, command):
         if way < 0.0:
             way = -way
         x.rate_bend = (speed_m - way * x.bend) / p.unknown_bend_give
+    tug = 0.0
+    if has.rider:
+        tug = tugging(x.ride, x.ride_velocity, p.unknown_swing_stiffness, p.unknown_swing_damping)
+        drawn = rider(tug, p)
+        pull = pull + drawn
     forward = 0.0
     reverse = 0.0
     if has.grip:
@@ -185,6 +193,8 @@ def rates(x, p, k, command):
         x.margin_link = margin(x.push_link, x.forward_link, x.reverse_link, x.mode_link, x.velocity)
     x.rate_position = x.velocity
     x.rate_velocity = left_l / mass_l
+    x.rate_ride = x.ride_velocity
+    x.rate_ride_velocity = -x.rate_velocity - tug
     if has.backlash:
         x.rate_gap = speed_m - x.velocity
         x.rate_motor_velocity = left_m / mass_m

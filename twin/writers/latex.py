@@ -80,6 +80,9 @@ SYMBOLS: dict[str, str] = {
     "fade_reference": "u_{h}",
     "unknown_bend_level": "F_{z}",
     "unknown_bend_give": "d_{z}",
+    "unknown_swing_share": r"\mu_{r}",
+    "unknown_swing_stiffness": "k_{r}",
+    "unknown_swing_damping": "b_{r}",
 }
 _ARGUMENTS = {
     "position": "@",
@@ -89,6 +92,7 @@ _ARGUMENTS = {
     "emf": r"u_{\omega}",
     "heat": "h",
     "bend": "z",
+    "tug": "a_{y}",
     "moment": "S_{p}",
     "payload": "J_{p}",
     "direction": r"\sigma",
@@ -261,6 +265,7 @@ def _signed(text: str) -> str:
 _MEMORY = {
     "heat": ("warming", r"T_{h}\,\dot{h}", r"\left(\frac{v_{h=0} - \rho_{h}\,u_{\omega}}{u_{h}}\right)^{2} - h"),
     "bend": ("bending of bristles", r"d_{z}\,\dot{z}", r"\dot{@} - \left|\dot{@}\right|\,z"),
+    "tug": ("swing of what rides along", "a_{y}", r"k_{r}\,y + b_{r}\,\dot{y} = -\ddot{@} - \ddot{y}"),
 }
 _LEFT = {
     "drive": ("the command that acts", "v"),
@@ -268,6 +273,7 @@ _LEFT = {
     "shaft": ("motion", r"\ddot{@}"),
     "drag": ("motion", r"\ddot{@}"),
     "bristle": ("motion", r"\ddot{@}"),
+    "rider": ("motion", r"\ddot{@}"),
     "grip": ("size of the dry friction", "F"),
     "mass": ("inertia, in units of the axis' own", "J"),
     "sensor": ("what the sensor reads", r"@_{\mathrm{measured}}"),
@@ -337,12 +343,12 @@ def equations(structure: Structure, axis_unit: str = "rad") -> tuple[Equation, .
     x = coordinate(axis_unit)
     terms = {
         slot: [Term(e.id, _signed(law(e.id, axis_unit))) for e in structure.effects if e.slot == slot]
-        for slot in ("drag", "bristle", "load", "shaft", "grip", "mass", "sensor")
+        for slot in ("drag", "bristle", "rider", "load", "shaft", "grip", "mass", "sensor")
     }
     acting, drive = _drive(structure, axis_unit)
     drives = "u_{e}" if "motor_lag" in structure else acting
     motion = [Term("inertia", f"+ {symbol('input_gain')}\\,{drives}"), *terms["drag"], *terms["bristle"]]
-    motion += [*terms["load"], *terms["shaft"]]
+    motion += [*terms["rider"], *terms["load"], *terms["shaft"]]
     if terms["grip"]:
         motion.append(Term(terms["grip"][0].effect, rf"- F\,\mathrm{{sgn}}\left(\dot{{{x}}}\right)"))
     left = rf"J\,\ddot{{{x}}}" if terms["mass"] else rf"\ddot{{{x}}}"

@@ -251,6 +251,18 @@ def write(model: Model) -> str:
         equations.append(f"unknown_bend_give*der(bend) = {speed} - abs({speed})*bend;")
         equations.append(f"pushing = {driving} + {_sum(model, 'bristle', {})};")
         driving = "pushing"
+    if slots["rider"]:
+        declared += [
+            _declare("Real", "ride", x, "position of what rides on the link minus that of the link", more=_RESTING),
+            _declare("Real", "ride_velocity", f"{x}/s", "its velocity minus that of the link", more=_RESTING),
+            _declare("Real", "tug", f"{x}/s^2", "acceleration by which it is drawn back"),
+        ]
+        equations += [
+            "tug = unknown_swing_stiffness*ride + unknown_swing_damping*ride_velocity;",
+            "der(ride) = ride_velocity;",
+            "der(ride_velocity) = -der(velocity) - tug;",
+        ]
+        on_link += f" + {_sum(model, 'rider', {})}"
     equations.append(f"load = {on_link};")
     declared.append(_declare("Real", "mass", "1", "inertia, in units of that of the axis"))
     equations.append(f"mass = 1 + {_sum(model, 'mass', link)};")
