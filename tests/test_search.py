@@ -464,7 +464,7 @@ def test_what_did_not_last_is_followed_by_another_look(monkeypatch) -> None:
     wave, push = (replace(base, structure=base.structure.with_(e)) for e in ("gravity", "constant_offset"))
     grown, asked = iter([wave, push]), []
 
-    def grow(cases, best, candidates, held, tell):
+    def grow(cases, best, candidates, held, tell, most):
         asked.append(best)
         return next(grown), []
 
@@ -512,6 +512,42 @@ def fitted(deviance: float, *effects: str, unit: float = 1.0) -> likelihood.Poin
 
 def hypothesis(deviance: float, *effects: str, unit: float = 1.0) -> explain.Hypothesis:
     return explain.Hypothesis(effects[-1:], fitted(deviance, *effects, unit=unit))
+
+
+@pytest.mark.parametrize("deviance", [-9000.0, -5000.0])
+def test_the_search_begins_anew_with_what_had_earned_as_much_by_itself(monkeypatch, deviance: float) -> None:
+    """What says the same again and again does more for the deviance than what is there, and leads astray."""
+    first = fitted(0.0, unit=100.0)
+    joint, delay, lag = (
+        hypothesis(-6000.0, "joint_elasticity", unit=100.0),
+        hypothesis(-3000.0, "input_delay", unit=20.0),
+        hypothesis(-4000.0, "motor_lag", unit=100.0),
+    )
+    this = explain.Round(first, (joint, delay, lag), 100.0)
+    ends = {"joint_elasticity": joint.point, "input_delay": fitted(deviance, "motor_lag", "input_delay", unit=20.0)}
+    begun = []
+
+    def climbed(cases, best, rounds, structure, candidates, held, tell):
+        begun.append([r.rivals[0].added[0] for r in rounds])
+        return search.Search(first, ends[begun[-1][0] if rounds else "joint_elasticity"], tuple(rounds) or (this,), ())
+
+    monkeypatch.setattr(search.ascent, "start", lambda recordings, first, held: ([], [first]))
+    monkeypatch.setattr(search.ascent, "refine", lambda cases, structure, begun, held: first)
+    monkeypatch.setattr(search.ascent, "polish", lambda cases, point: ([], point))
+    monkeypatch.setattr(search.meetings, "judged_throughout", lambda cases: cases)
+    monkeypatch.setattr(valleys, "judged", lambda cases, point: 1.0)
+    monkeypatch.setattr(valleys, "settle", lambda cases, structure, values, held, density: first)
+    monkeypatch.setattr(search.screening, "offered", lambda cases, candidates: candidates)
+    monkeypatch.setattr(search, "_climbed", climbed)
+    monkeypatch.setattr(search, "_levelled", lambda cases, best, candidates: [])
+    monkeypatch.setattr(search, "_wider", lambda cases, best, first, candidates, held, rounds: [])
+    monkeypatch.setattr(search, "closer", lambda found, held, candidates: found)
+    found = search.find([], first.structure, {})
+    assert begun == [[], ["input_delay"]]
+    assert found.last is ends["input_delay" if deviance < -6000.0 else "joint_elasticity"]
+    assert search._seconds(replace(found, rounds=(replace(this, won=False),))) == search._seconds(
+        replace(found, rounds=())
+    ) == []  # fmt: skip
 
 
 def test_a_lost_round_is_looked_at_with_a_filter_that_remembers_longer_than_the_model_is_right(monkeypatch) -> None:

@@ -28,8 +28,9 @@ TURNS = 2
 CERTAIN = 3.0
 #: So often at most are meetings that a model foresees looked for, since another judgement moves the model.
 FORESEEN = 2
-#: A rival that had earned all but this share of what the winner did is tried in its place.
-NARROW = 0.1
+#: A rival that had earned all but this share of what the winner did is tried in its place; and from so many of those in
+#: the first round the search begins anew.
+NARROW, SECONDS = 0.1, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,9 +162,27 @@ def find(
     cases = meetings.judged_throughout(polished)
     best = valleys.settle(cases, first, fine.values, held, valleys.judged(cases, fine))
     candidates = screening.offered(cases, candidates)
-    rounds: list[Round] = []
+    found = _climbed(cases, best, (), first, candidates, held, tell)
+    for this in _seconds(found):
+        tell(f"beginning anew with {EFFECTS[this.rivals[0].added[0]].title}", 0.7)
+        other = _climbed(cases, this.rivals[0].point, (this,), first, candidates, held, tell)
+        found = other if compare.behind(other.last, found.last) < 0.0 else found
+    best, rounds = _unmet(cases, found.last), found.rounds
+    wider = _wider(cases, best, first, candidates, held, rounds)
+    best, swaps = _widened(cases, best, found.swaps, wider, held)
+    swaps = [*swaps, *_levelled(cases, best, candidates)]
+    tell("looking closer", 0.8)
+    return closer(replace(found, last=best, swaps=tuple(swaps)), held, candidates)
+
+
+def _climbed(
+    cases: Sequence[Case], best: Point, rounds: Sequence[Round], first: Structure, candidates: Sequence[str],
+    held: Mapping[str, float], tell: Progress,
+) -> Search:  # fmt: skip
+    """The search that grows from a model which these rounds led to."""
+    rounds, room = list(rounds), MOST - len(rounds)
     for _ in range(TURNS):
-        grown, more = _grown(cases, best, candidates, held, tell)
+        grown, more = _grown(cases, best, candidates, held, tell, room)
         rounds += more
         # What the last model is held against is judged as it is.
         start = rounds[0].before if rounds else grown
@@ -173,13 +192,21 @@ def find(
         # What was ousted, or did not last, may have stood before what would; but not where it did more than all others.
         if best.structure in (grown.structure, *(this.before.structure for this in rounds)):
             break
-    best = _unmet(cases, best)
-    wider = _wider(cases, best, first, candidates, held, rounds)
-    best, swaps = _widened(cases, best, swaps, wider, held)
-    swaps = [*swaps, *_levelled(cases, best, candidates)]
-    found = Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
-    tell("looking closer", 0.8)
-    return closer(found, held, candidates)
+    return Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
+
+
+def _seconds(found: Search) -> list[Round]:
+    """The first round, won by a rival instead: by each that had earned about as much, or more, in units of its own.
+
+    What leads a model astray may do the most for its deviance, most of which then says the same again and again.
+    """
+    this = found.rounds[0] if found.rounds else None
+    if this is None or not this.won:
+        return []
+    gains = [compare.earned(this.before, h.point) for h in this.rivals]
+    close = [i for i in range(1, len(gains)) if gains[i] > max(compare.LEAST, (1.0 - NARROW) * gains[0])]
+    best = sorted(close, key=lambda i: -gains[i])[:SECONDS]
+    return [replace(this, rivals=(this.rivals[i], *this.rivals[:i], *this.rivals[i + 1 :])) for i in best]
 
 
 def _likeliest(lesser: Sequence[Point], begun: Point) -> Point:

@@ -18,7 +18,7 @@ EFFECT = Effect(
     station="load",
     slot="rider",
     parameters=(
-        Parameter("unknown_swing_share", "1", "inertia of what swings, as a share of the axis'", 0.0, 0.0),
+        Parameter("unknown_swing_share", "1", "inertia of what swings, as a share of the axis'", 0.0, 0.0, 20.0),
         Parameter("unknown_swing_stiffness", "1/s^2", "spring that holds it, over its inertia", None, 0.0, 1e4, 100.0),
         Parameter("unknown_swing_damping", "1/s", "damper that holds it, over its inertia", None, 0.01, 100.0, 1.0),
     ),
