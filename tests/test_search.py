@@ -538,6 +538,7 @@ def test_the_search_begins_anew_with_what_had_earned_as_much_by_itself(monkeypat
     monkeypatch.setattr(valleys, "judged", lambda cases, point: 1.0)
     monkeypatch.setattr(valleys, "settle", lambda cases, structure, values, held, density: first)
     monkeypatch.setattr(search.screening, "offered", lambda cases, candidates: candidates)
+    monkeypatch.setattr(explain, "shows", lambda cases, before, after: True)
     monkeypatch.setattr(search, "_climbed", climbed)
     monkeypatch.setattr(search, "_levelled", lambda cases, best, candidates: [])
     monkeypatch.setattr(search, "_wider", lambda cases, best, first, candidates, held, rounds: [])
@@ -545,9 +546,34 @@ def test_the_search_begins_anew_with_what_had_earned_as_much_by_itself(monkeypat
     found = search.find([], first.structure, {})
     assert begun == [[], ["input_delay"]]
     assert found.last is ends["input_delay" if deviance < -6000.0 else "joint_elasticity"]
-    assert search._seconds(replace(found, rounds=(replace(this, won=False),))) == search._seconds(
-        replace(found, rounds=())
-    ) == []  # fmt: skip
+
+
+def test_what_the_search_begins_anew_with_shows_by_itself_and_had_not_been_refused(monkeypatch) -> None:
+    first, unit = fitted(0.0, unit=100.0), 20.0
+    joint, delay = hypothesis(-6000.0, "joint_elasticity", unit=100.0), hypothesis(-3000.0, "input_delay", unit=unit)
+    slow = hypothesis(-2500.0, "gravity", unit=unit)
+    this = explain.Round(first, (joint, delay, slow), 100.0)
+    found = search.Search(first, joint.point, (this,), ())
+    shown = {"input_delay", "gravity"}
+    monkeypatch.setattr(explain, "shows", lambda cases, before, after: bool({*after.structure.named} & shown))
+
+    def begun(this: explain.Round, density: float = 1.0) -> list[str]:
+        rounds = search._seconds((), replace(found, rounds=(this,)), density)
+        return [r.rivals[0].added[0] for r in rounds]
+
+    assert begun(this) == ["input_delay", "gravity"]
+    assert begun(replace(this, refused=frozenset({"input_delay"}))) == ["gravity"]
+    assert begun(this, density=2.0) == []
+    assert begun(replace(this, won=False)) == []
+    wider = hypothesis(-9000.0, "coulomb_friction", "stribeck_friction", unit=unit)
+    dry = hypothesis(-6000.0, "coulomb_friction", unit=unit)
+    assert begun(replace(this, rivals=(dry, wider, slow))) == []
+    shown.remove("input_delay")
+    assert begun(this) == ["gravity"]
+    # Who had won the round is a rival of what the search begins anew with.
+    (anew,) = search._seconds((), replace(found, rounds=(this,)), 1.0)
+    contest = search.contest_of([anew], slow.point.structure, "gravity")
+    assert [h.added[0] for h, _ in contest.rivals] == ["joint_elasticity", "input_delay"]
 
 
 def test_a_lost_round_is_looked_at_with_a_filter_that_remembers_longer_than_the_model_is_right(monkeypatch) -> None:

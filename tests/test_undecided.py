@@ -168,7 +168,8 @@ def test_an_effect_that_came_along_with_another_stands_for_itself():
 def test_what_looked_better_than_the_winner_and_did_not_show_is_no_rival():
     tried = {"spring": 1000.0, "load_change": 900.0, "gravity": 1010.0}
     before, rivals = point(3000.0), tuple(Hypothesis((e,), point(c, e)) for e, c in tried.items())
-    contest = search.contest_of([Round(before, rivals, 1.0)], Structure.of([*BASE, "spring"]), "spring")
+    this = Round(before, rivals, 1.0, refused=frozenset({"load_change"}))
+    contest = search.contest_of([this], Structure.of([*BASE, "spring"]), "spring")
     assert [h.added for h, _ in contest.rivals] == [("gravity",)]
 
 

@@ -390,6 +390,10 @@ def piece(x, p, k, command, h):
             until = ahead / x.velocity
             if until > 1e-9 and until < h:
                 h = until
+    # However firmly something is held that rides on the link, it does not shake it.
+    if has.rider:
+        firm = p.unknown_swing_damping * (1.0 + p.unknown_swing_share / mass_l)
+        h = halved(h, firm, 0.5)
     if fine > h:
         fine = h
     per_m = 1.0 / mass_m

@@ -94,14 +94,16 @@ def contest(cases: Sequence[Case], base: Point, candidates: Sequence[str]) -> li
 class Round:
     """One addition: the model before, the rivals (the best first), and what a unit of deviance is worth among them.
 
-    `won` says whether the first of the rivals has earned its place, or does so as soon as the next is beside it. Where
-    every candidate was bent into something else there are none.
+    `won` says whether the first of the rivals has earned its place, or does so as soon as the next is beside it;
+    `refused` are those that looked better and had not. Where every candidate was bent into something else there are
+    no rivals.
     """
 
     before: Point
     rivals: tuple[Hypothesis, ...]
     unit: float
     won: bool = True
+    refused: frozenset[str] = frozenset()
 
 
 def _still(smaller: Point, larger: Point) -> bool:
@@ -349,7 +351,7 @@ def _on_credit(cases: Sequence[Case], this: Round, candidates: Sequence[str], he
         enough = compare.earned(this.before, earning) > 2.0 * compare.LEAST
         if enough and compare.earns(h.point, earning) and shows(cases, this.before, earning):
             others = [o for o in this.rivals if o is not h]
-            return Round(this.before, (h, *others), this.unit)
+            return Round(this.before, (h, *others), this.unit, refused=_before(this.rivals, h))
     return this
 
 
@@ -418,6 +420,14 @@ def _judged(
         if stands:
             winner = h
             break
+    refused = frozenset[str]()
     if winner is not None:
+        refused = _before(rivals, winner)
         rivals = [winner, *(h for h in rivals if h.added != winner.added)]
-    return Round(before, tuple(rivals), compare.worth([before, *(h.point for h in rivals[:1])]), winner is not None)
+    unit = compare.worth([before, *(h.point for h in rivals[:1])])
+    return Round(before, tuple(rivals), unit, winner is not None, refused)
+
+
+def _before(rivals: Sequence[Hypothesis], winner: Hypothesis) -> frozenset[str]:
+    """The effects of the rivals that stand before the winner."""
+    return frozenset(h.added[0] for h in itertools.takewhile(lambda h: h.added != winner.added, rivals))

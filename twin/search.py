@@ -163,10 +163,13 @@ def find(
     best = valleys.settle(cases, first, fine.values, held, valleys.judged(cases, fine))
     candidates = screening.offered(cases, candidates)
     found = _climbed(cases, best, (), first, candidates, held, tell)
-    for this in _seconds(found):
+    for this in _seconds(cases, found, best.density):
         tell(f"beginning anew with {EFFECTS[this.rivals[0].added[0]].title}", 0.7)
-        other = _climbed(cases, this.rivals[0].point, (this,), first, candidates, held, tell)
-        found = other if compare.behind(other.last, found.last) < 0.0 else found
+        start = _plainer(cases, this, held)
+        other = _climbed(cases, start, (_bettered(this, start),), first, candidates, held, lambda said, share: None)
+        found = _likelier(cases, found, other, held)
+        if found.last is other.last:
+            break
     best, rounds = _unmet(cases, found.last), found.rounds
     wider = _wider(cases, best, first, candidates, held, rounds)
     best, swaps = _widened(cases, best, found.swaps, wider, held)
@@ -195,18 +198,51 @@ def _climbed(
     return Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
 
 
-def _seconds(found: Search) -> list[Round]:
-    """The first round, won by a rival instead: by each that had earned about as much, or more, in units of its own.
+def _seconds(cases: Sequence[Case], found: Search, density: float) -> list[Round]:
+    """The first round, won by a rival instead: by each that shows, had earned about as much, or more, in units of its
+    own, and neither contains the winner nor is contained in it.
 
-    What leads a model astray may do the most for its deviance, most of which then says the same again and again.
+    What leads a model astray may do most for the deviance, since correlated innovations count the same evidence many
+    times over. None where the round was not won with the density that the search began with, or was won on credit.
     """
     this = found.rounds[0] if found.rounds else None
-    if this is None or not this.won:
+    if this is None or not this.won or this.before.density < density:
         return []
-    gains = [compare.earned(this.before, h.point) for h in this.rivals]
-    close = [i for i in range(1, len(gains)) if gains[i] > max(compare.LEAST, (1.0 - NARROW) * gains[0])]
-    best = sorted(close, key=lambda i: -gains[i])[:SECONDS]
-    return [replace(this, rivals=(this.rivals[i], *this.rivals[:i], *this.rivals[i + 1 :])) for i in best]
+    winner, *others = this.rivals
+    least = max(compare.LEAST, (1.0 - NARROW) * compare.earned(this.before, winner.point))
+    apart = [
+        h
+        for h in others
+        if winner.added[0] not in h.point.structure and h.added[0] not in {*winner.point.structure.ids, *this.refused}
+    ]
+    gains = {h.added[0]: compare.earned(this.before, h.point) for h in apart}
+    close = sorted((h for h in apart if gains[h.added[0]] > least), key=lambda h: -gains[h.added[0]])
+    shown = [h for h in close[:SECONDS] if explain.shows(cases, this.before, h.point)]
+    credit = not compare.earns(this.before, winner.point)
+    return [] if credit else [replace(this, rivals=(h, *(o for o in this.rivals if o is not h))) for h in shown]
+
+
+def _likelier(cases: Sequence[Case], one: Search, other: Search, held: Mapping[str, float]) -> Search:
+    """The search whose end the recordings speak for, both judged at one noise density; where both end in the same but
+    for one effect each, with the other's as what could stand in its place.
+    """
+    density = min(one.last.density, other.last.density)
+
+    def judged(end: Point) -> Point:
+        same = end.density == density
+        return end if same else valleys.settle(cases, end.structure, end.values, held, density)
+
+    ends = [(one, judged(one.last)), (other, judged(other.last))]
+    if compare.behind(ends[1][1], ends[0][1]) < 0.0:
+        ends.reverse()
+    (kept, best), (_, lost) = ends
+    if one.last.structure == other.last.structure:
+        return replace(one, last=best) if one.last.density == density else one
+    own, rival = ([i for i in a.structure.named if i not in b.structure] for a, b in ((best, lost), (lost, best)))
+    told = {(w.effect, w.rival) for w in kept.swaps}
+    if len(own) == len(rival) == 1 and (own[0], rival[0]) not in told and kept.last is best:
+        return replace(kept, swaps=(*kept.swaps, Swap(own[0], rival[0], lost)))
+    return kept
 
 
 def _likeliest(lesser: Sequence[Point], begun: Point) -> Point:
@@ -251,10 +287,9 @@ def contest_of(rounds: Sequence[Round], last: Structure, effect: str) -> Contest
             # An effect that another one brought along stands for itself where it ran, too.
             best = own.get(effect, min(own.values()))
             others = [h for h in this.rivals if effect not in h.point.structure and h.added[0] not in last]
-            tried = [(h, compare.criterion(h.point, this.unit)) for h in others]
-            # What looked better than the winner was refused.
-            won = compare.criterion(this.rivals[0].point, this.unit)
-            rivals = tuple((h, c - best) for h, c in tried if c >= won)
+            rivals = tuple(
+                (h, compare.criterion(h.point, this.unit) - best) for h in others if h.added[0] not in this.refused
+            )
             return Contest(compare.criterion(this.before, this.unit) - best, rivals)
     return Contest(0.0, ())
 

@@ -24,7 +24,7 @@ SLOTS: Mapping[str, tuple[tuple[str, ...], str]] = {
     "shaft": (("position",), "torque on motor and link; laws add up"),
     "drag": (("position", "velocity"), "smooth resistance, against the speed; laws add up"),
     "bristle": (("bend",), "friction on the motor by how far its bristles are bent; laws add up"),
-    "rider": (("tug",), "torque on the link by what rides on it, which tugs at each unit of its mass; laws add up"),
+    "rider": (("tug",), "torque on the link by what rides on it, drawn back with the acceleration `tug`; laws add up"),
     "grip": (("position", "velocity", "direction", "transmitted"), "size of the dry friction; laws add up"),
     "mass": (("position", "time", "payload"), "inertia added to the link; laws add up"),
     "sensor": (("position",), "what the sensor adds to the true position; laws add up"),

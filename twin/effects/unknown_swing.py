@@ -26,8 +26,9 @@ EFFECT = Effect(
     depends_on=("acceleration",),
     promises=frozenset({"odd", "state"}),
     sentence=(
-        "Something rides on the link that is {unknown_swing_share} of the axis' inertia, as a liquid or a hanging load "
-        "does: a spring of {unknown_swing_stiffness} and a damper of {unknown_swing_damping} over its inertia hold it."
+        "Something with {unknown_swing_share} of the axis' inertia rides on the link, as a liquid or a hanging load "
+        "does: a spring of {unknown_swing_stiffness} and a damper of {unknown_swing_damping} hold it, both over its "
+        "own inertia."
     ),
     reference="Den Hartog, Mechanical Vibrations, 1956, ch. 3",
     confused_with={

@@ -156,10 +156,6 @@ def predict(time, command, measured, noise, speed, closed, law, x, p, k, longest
                 if abs(x.gap) < half:
                     # A correction brings the motor to the flank at most, never into it.
                     x.gap = min(max(x.gap + (gain[2] - gain[0]) * error, -half), half)
-                if has.rider:
-                    # What rides on the link is where it was.
-                    x.ride = x.ride - gain[0] * error
-                    x.ride_velocity = x.ride_velocity - gain[1] * error
         if i == count - 1:
             break
         now = time[i]
@@ -280,11 +276,6 @@ def predict_t(
                         put(xd, 2, d_half)
                     if moved < -half:
                         put(xd, 2, -1.0 * d_half)
-                if has.rider:
-                    x.ride = x.ride - gain[0] * error
-                    x.ride_velocity = x.ride_velocity - gain[1] * error
-                    put(xd, 7, row(xd, 7) + gain[0] * d_reading)
-                    put(xd, 8, row(xd, 8) + gain[1] * d_reading)
         if i == count - 1:
             break
         now = time[i]
