@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import PurePosixPath
 
 import pytest
+from xdist.scheduler import LoadScopeScheduling
 
 #: Files whose tests share nothing and take long each: they go one by one to whichever worker is free. Tests of any
 #: other file share fixtures that take long to make, and one worker.
@@ -22,7 +24,13 @@ def pytest_configure(config: pytest.Config) -> None:
         list(pool.map(kernel.warm, (base, base.with_("unknown_time"))))
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    for item in items:
-        if item.path.stem not in LONG:
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+class ByFile(LoadScopeScheduling):
+    """Whole files, and the long tests by themselves."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        path, _, _ = nodeid.partition("::")
+        return nodeid if PurePosixPath(path).stem in LONG else path
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ByFile:
+    return ByFile(config, log)
