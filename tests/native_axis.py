@@ -48,7 +48,7 @@ VALUES = {
     "eccentricity": 0.02,
     "disturbance": 1.0,
     "disturbance_frequency": 0.7,
-    "unknown_swing_share": 0.3,
+    "unknown_swing_share": 0.1,
 }
 #: With compliance there is no rigid contact, without it there is: both are needed to have every effect on.
 RIGID = EVERYTHING.without("joint_elasticity", "tooth_compliance")

@@ -197,7 +197,7 @@ def test_parameters_act_between_steps_and_before_the_start(made):
     first, second = model_of(SIMPLE, gravity_gain=3.0), model_of(SIMPLE, gravity_gain=20.0)
     truth = by_kernel(first, u[:601], 0.1, 0.0)
     x = kernel.start_state(*truth[-1, :2], truth[-1, 3])
-    x[3:7] = truth[-1, 4:]
+    x[3:-1] = truth[-1, 4:]
     rest = kernel.Drive(
         np.arange(600) * PERIOD, u[600:], np.full(600, np.nan), False, kernel.known_vector(second.known), np.zeros(5),
         second.longest_step,
