@@ -565,6 +565,8 @@ def test_what_the_search_begins_anew_with_shows_by_itself_and_had_not_been_refus
     assert begun(replace(this, refused=frozenset({"input_delay"}))) == ["gravity"]
     assert begun(this, density=2.0) == []
     assert begun(replace(this, won=False)) == []
+    # A winner on credit has beaten nobody.
+    assert begun(replace(this, rivals=(hypothesis(-1000.0, "joint_elasticity", unit=100.0), delay, slow))) == []
     wider = hypothesis(-9000.0, "coulomb_friction", "stribeck_friction", unit=unit)
     dry = hypothesis(-6000.0, "coulomb_friction", unit=unit)
     assert begun(replace(this, rivals=(dry, wider, slow))) == []
@@ -574,6 +576,23 @@ def test_what_the_search_begins_anew_with_shows_by_itself_and_had_not_been_refus
     (anew,) = search._seconds((), replace(found, rounds=(this,)), 1.0)
     contest = search.contest_of([anew], slow.point.structure, "gravity")
     assert [h.added[0] for h, _ in contest.rivals] == ["joint_elasticity", "input_delay"]
+
+
+@pytest.mark.parametrize("deviance", [-9000.0, -5000.0])
+def test_the_end_that_lost_by_one_effect_could_stand_in_its_place(deviance: float) -> None:
+    one, other = fitted(-6000.0, "gravity", "spring"), fitted(deviance, "gravity", "load_change")
+    searches = [search.Search(fitted(0.0), end, (), ()) for end in (one, other)]
+    found = search._likelier((), *searches, {})
+    best, lost, effect, rival = (one, other, "spring", "load_change")
+    if deviance < -6000.0:
+        best, lost, effect, rival = other, one, rival, effect
+    assert found.last is best
+    assert [(w.effect, w.rival) for w in found.swaps] == [(effect, rival)] and found.swaps[0].point is lost
+    # What is told already is not told twice, and ends that differ by more stand for no single effect.
+    again = [replace(s, swaps=(search.Swap(effect, rival, lost),)) for s in searches]
+    assert len(search._likelier((), *again, {}).swaps) == 1
+    longer = replace(searches[1], last=fitted(0.0, "gravity", "load_change", "motor_lag"))
+    assert search._likelier((), searches[0], longer, {}) is searches[0]
 
 
 def test_a_lost_round_is_looked_at_with_a_filter_that_remembers_longer_than_the_model_is_right(monkeypatch) -> None:

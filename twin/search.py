@@ -209,7 +209,10 @@ def _seconds(cases: Sequence[Case], found: Search, density: float) -> list[Round
     if this is None or not this.won or this.before.density < density:
         return []
     winner, *others = this.rivals
-    least = max(compare.LEAST, (1.0 - NARROW) * compare.earned(this.before, winner.point))
+    gain = compare.earned(this.before, winner.point)
+    if gain <= compare.LEAST:
+        return []
+    least = max(compare.LEAST, (1.0 - NARROW) * gain)
     apart = [
         h
         for h in others
@@ -218,8 +221,7 @@ def _seconds(cases: Sequence[Case], found: Search, density: float) -> list[Round
     gains = {h.added[0]: compare.earned(this.before, h.point) for h in apart}
     close = sorted((h for h in apart if gains[h.added[0]] > least), key=lambda h: -gains[h.added[0]])
     shown = [h for h in close[:SECONDS] if explain.shows(cases, this.before, h.point)]
-    credit = not compare.earns(this.before, winner.point)
-    return [] if credit else [replace(this, rivals=(h, *(o for o in this.rivals if o is not h))) for h in shown]
+    return [replace(this, rivals=(h, *(o for o in this.rivals if o is not h))) for h in shown]
 
 
 def _likelier(cases: Sequence[Case], one: Search, other: Search, held: Mapping[str, float]) -> Search:

@@ -285,10 +285,15 @@ _HELD = {"velocity": "viscous_friction", "drag": "viscous_friction", "input": "i
 TERMS = ("position", "angle", "velocity", "input", "time", "drag", "gain", "push", "bend", "swing", "inertia")
 #: Those of waves over the angle.
 _WAVES = ("angle", "gain", "push", "inertia")
-#: Ways by which friction may give, rad, and springs (1/s^2) and dampers (1/s) by which something may ride along, from
-#: which they are looked for.
-_GIVES = (0.003, 0.01, 0.03, 0.1)
-_HOLDS = ((0.0, 0.5), (0.0, 4.0), (20.0, 1.0), (100.0, 2.0), (500.0, 4.0), (2000.0, 8.0))
+#: Those with a state of their own, and from where they are looked for: ways by which friction may give, rad, and
+#: springs (1/s^2) and dampers (1/s) by which something may ride along.
+_STARTS: Mapping[str, tuple[dict[str, float], ...]] = {
+    "bend": tuple({"unknown_bend_give": way} for way in (0.003, 0.01, 0.03, 0.1)),
+    "swing": tuple(
+        {"unknown_swing_stiffness": spring, "unknown_swing_damping": damper}
+        for spring, damper in ((0.0, 0.5), (0.0, 4.0), (20.0, 1.0), (100.0, 2.0), (500.0, 4.0), (2000.0, 8.0))
+    ),
+}
 #: So many travels make a wave's turn where the axis does not turn: what it is at one end it need not be at the other.
 _ROOM = 1.5
 #: Knots of the finer line that shows where a curve bends.
@@ -412,11 +417,11 @@ def _where_judged(case: Case, missing: Missing) -> Missing:
 
 def remembering(cases: Sequence[Case], base: Point, term: Term) -> Point:
     """The base model and a term with a state of its own, after a few steps from the likeliest of some starts."""
-    structure, lever = base.structure.with_(f"unknown_{term.kind}"), max(c.recording.lever for c in cases)
-    starts = [{"unknown_bend_give": way * lever} for way in _GIVES]
-    if term.kind == "swing":
-        starts = [{"unknown_swing_stiffness": k, "unknown_swing_damping": d} for k, d in _HOLDS]
-    size, *others = (p.name for p in EFFECTS[f"unknown_{term.kind}"].parameters)
+    effect, lever = EFFECTS[f"unknown_{term.kind}"], max(c.recording.lever for c in cases)
+    structure = base.structure.with_(effect.id)
+    scale = {p.name: lever if p.unit == "{x}" else 1.0 for p in effect.parameters}
+    starts = ({n: v * scale[n] for n, v in start.items()} for start in _STARTS[term.kind])
+    size, *others = (p.name for p in effect.parameters)
     mine, free = ready.with_steps(cases, structure), (*base.free, size)
 
     def climbed(values: Mapping[str, float], free: tuple[str, ...]) -> Point:
@@ -429,7 +434,7 @@ def remembering(cases: Sequence[Case], base: Point, term: Term) -> Point:
 def sketch(cases: Sequence[Case], base: Point, term: Term) -> Point:
     """The base model and a term of no known shape, after a few steps at the base's noise density."""
     kind = term.kind
-    if kind in ("bend", "swing"):
+    if kind in _STARTS:
         return remembering(cases, base, term)
     structure = base.structure.with_(f"unknown_{kind}")
     mine = ready.with_steps(cases, structure)
