@@ -310,3 +310,38 @@ def test_a_candidate_moves_nothing_that_is_held() -> None:
     assert all(known.keys() <= row.keys() for row in trials)
     (entry,) = screening.entries(cases, before, {"joint_elasticity": trials})
     assert all(known.items() <= place.items() for place in entry.places)
+
+
+@pytest.mark.parametrize(
+    ("effect", "law", "parts"),
+    [
+        ("input_delay", {"delay": 0.004}, True),
+        ("end_stop", {"stop_upper": 6.0, "stop_lower": -1e3, "stop_stiffness": 2e4, "stop_damping": 60.0}, False),
+    ],
+)
+def test_a_start_is_looked_for_in_parts_of_a_long_recording_unless_it_lies_at_a_place(
+    monkeypatch, effect, law, parts
+) -> None:
+    """A stop is met between two of the parts, and found; a delay, which acts all the time, needs less than half."""
+    structure = Structure.of(["inertia", "viscous_friction", "dead_band"])
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
+    time, count = 0.002 * np.arange(30000), 2.0 * np.pi / 16384.0
+    duty = 20.0 * np.sin(3.0 * time) + 40.0 * ((time > 6.0) & (time < 8.0)) - 40.0 * ((time > 9.0) & (time < 11.0))
+    y, _ = run(structure.with_(effect), values | law, time, duty)
+    made = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
+    cases = [likelihood.prepare(made, structure)]
+    before = valleys.settle(cases, structure, values, {}, likelihood.density_of(cases[0], 0.1))
+    read, evaluate = [], likelihood.evaluate
+
+    def looked(seen, *rest):
+        read.append(sum(len(case.drive.time) for case in seen))
+        return evaluate(seen, *rest)
+
+    monkeypatch.setattr(likelihood, "evaluate", looked)
+    trials = screening.grids(cases, structure, before.values)[effect]
+    (entry,) = screening.entries(cases, before, {effect: trials})
+    assert (np.mean(read) < 0.5 * len(time)) == parts
+    found = valleys.settle(cases, entry.structure, entry.places[0], {}, before.density)
+    name, size = next(iter(law.items()))
+    assert found.values[name] == pytest.approx(size, rel=0.02)
+    assert entry.promise > 0.8 * (before.deviance - found.deviance)

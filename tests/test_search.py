@@ -496,7 +496,7 @@ def test_a_delay_is_judged_where_a_few_steps_from_its_start_lead() -> None:
     longer = plain.with_("input_delay")
     begun = min(likelihood.evaluate(cases, longer, {**base.values, **t}, base.density).deviance for t in trials)
     free = (*base.free, "delay")
-    promise, found = screening._direct_start(cases, base, "input_delay", trials, free)
+    promise, found = screening._direct_start(cases, cases, base, "input_delay", trials, free)
     assert begun > base.deviance
     assert found["delay"] == pytest.approx(0.001, abs=2e-4)
     assert promise > 0.9 * (base.deviance - valleys.settle(cases, longer, found, {}, base.density).deviance)

@@ -17,7 +17,7 @@ from operator import call
 import numpy as np
 from numpy.typing import NDArray
 
-from twin import likelihood, locate, ready
+from twin import ascent, likelihood, locate, ready
 from twin.axis import Structure
 from twin.cores import each
 from twin.effects.catalogue import CANDIDATES, EFFECTS, pages
@@ -338,21 +338,25 @@ def _promised(point: Point) -> float:
 
 
 def _direct_start(
-    cases: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]], free: tuple[str, ...]
-) -> tuple[float, dict[str, float]]:
-    """What a candidate that is tried as it is promises at best, the rest of the model's regain too, and where."""
+    cases: Sequence[Case], seen: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]],
+    free: tuple[str, ...],
+) -> tuple[float, dict[str, float]]:  # fmt: skip
+    """What a candidate that is tried as it is promises at best, the rest of the model's regain too, and where; that is
+    looked for in what is `seen` of the recordings.
+    """
     structure = extended(base.structure, effect)
     places = [placed(base, structure, effect, inside(t)) for t in trials]
     # A valley may be narrow, and its walls are what a place beside it shows: the likeliest walk a little before they
     # are judged, and the likeliest of every choice that no walk changes.
-    places.sort(key=lambda v: likelihood.evaluate(cases, structure, v, base.density).deviance)
+    places.sort(key=lambda v: likelihood.evaluate(seen, structure, v, base.density).deviance)
     first: dict[tuple[float, ...], dict[str, float]] = {}
     for place in places:
         first.setdefault(tuple(v for n, v in place.items() if n not in free), place)
     rest = [place for place in places if place not in first.values()]
     near = [*first.values(), *rest[: max(_CLOSELY - len(first), 0)]]
-    points = [likelihood.climb(cases, structure, v, base.density, free, rounds=_STEPS, tolerance=1.0) for v in near]
-    found = likelihood.climb_on(cases, min(points, key=lambda p: p.deviance), rounds=_MORE, tolerance=1.0)
+    points = [likelihood.climb(seen, structure, v, base.density, free, rounds=_STEPS, tolerance=1.0) for v in near]
+    best = likelihood.climb_on(seen, min(points, key=lambda p: p.deviance), rounds=_MORE, tolerance=1.0)
+    found = likelihood.evaluate(cases, structure, best.values, base.density, free)
     return base.deviance - found.deviance + _promised(found), found.values
 
 
@@ -392,6 +396,7 @@ def entries(
     """The candidates, each where it promises most beside the base."""
     held = set(ready.free_parameters(base.structure)) - set(base.free)
     rows = {e: [{n: v for n, v in row.items() if n not in held} for row in tried] for e, tried in trials.items()}
+    parts = ascent.glimpses(cases, base.structure)
 
     def free(structure: Structure) -> tuple[str, ...]:
         return tuple(n for n in ready.free_parameters(structure) if n not in held)
@@ -399,7 +404,9 @@ def entries(
     def direct(effect: str) -> list[Entry]:
         structure = extended(base.structure, effect)
         mine = ready.with_steps(cases, structure)
-        promise, values = _direct_start(mine, base, effect, rows[effect], free(structure))
+        # What happens at some place may happen there in no part that is seen.
+        seen = mine if "position" in EFFECTS[effect].depends_on else ready.with_steps(parts, structure)
+        promise, values = _direct_start(mine, seen, base, effect, rows[effect], free(structure))
         return [Entry(effect, structure, free(structure), (values,), promise)]
 
     def nested(group: Sequence[_Row]) -> list[Entry]:
