@@ -644,7 +644,7 @@ def test_what_is_far_behind_the_one_that_it_is_taken_for_is_tried_in_its_place(m
     monkeypatch.setattr(explain, "contest", lambda *rest: seen)
     monkeypatch.setattr(explain, "_following", lambda *rest: [])
     monkeypatch.setattr(explain, "_freed", lambda *rest: [])
-    monkeypatch.setattr(explain, "_finished", lambda cases, h, *rest: [h])
+    monkeypatch.setattr(explain, "_finished", lambda cases, found, *rest: list(found))
     monkeypatch.setattr(explain, "_instead", instead)
     monkeypatch.setattr(explain, "plausible", lambda *rest: True)
     monkeypatch.setattr(valleys, "settle", lambda *rest: fitted(0.0))

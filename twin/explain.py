@@ -176,8 +176,17 @@ def _adapted(cases: Sequence[Case], before: Point, after: Point, density: float)
     return smaller, min(larger, *nested, key=lambda p: p.deviance)
 
 
-def _finished(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float], density: float) -> list[Hypothesis]:
-    return [Hypothesis(h.added, valleys.settle(cases, h.point.structure, h.point.values, held, density))]
+def _finished(
+    cases: Sequence[Case], found: Sequence[Hypothesis], held: Mapping[str, float], density: float
+) -> list[Hypothesis]:  # fmt: skip
+    """What was found, each at the maximum near it."""
+    return each(
+        lambda h: Hypothesis(h.added, valleys.settle(cases, h.point.structure, h.point.values, held, density)), found
+    )
+
+
+def _deepened(cases: Sequence[Case], h: Hypothesis, held: Mapping[str, float]) -> list[Hypothesis]:
+    return [Hypothesis(h.added, valleys.deepen(cases, h.point, held))]
 
 
 def _following(
@@ -292,10 +301,10 @@ def compete(
 
     begun = list(known)
     for _ in range(AGAIN):
-        near = contest(cases, before, promising)
+        # What follows the missing torque is one climb after the other: it runs beside the contest.
         ways = [partial(way, cases, before, promising, held) for way in (_following, _freed)]
-        ways += [partial(_finished, cases, h, held, density) for h in (*begun, *near[:NEAR])]
-        keep([h for found in each(call, ways) for h in found])
+        follow, free, near = each(call, [*ways, partial(contest, cases, before, promising)])
+        keep([*follow, *free, *_finished(cases, (*begun, *near[:NEAR]), held, density)])
         leaders, begun = leading(2), []
         places = each(lambda h: valleys.settle(cases, structure, h.point.values, held, density), leaders)
         smaller = _better(cases, before, places)
@@ -322,9 +331,9 @@ def compete(
     # Those that are not far behind the best may only have ended in a lesser valley.
     bar = far()
     close = [h for h in leading(NEAR) if h.deviance < bar]
-    deeper = each(lambda h: Hypothesis(h.added, valleys.deepen(cases, h.point, held)), close)
-    others = each(lambda h: _on_the_other_side(cases, before, h, held), close)
-    keep([*deeper, *(h for found in others for h in found)])
+    ways = [partial(_deepened, cases, h, held) for h in close]
+    ways += [partial(_on_the_other_side, cases, before, h, held) for h in close]
+    keep([h for found in each(call, ways) for h in found])
     if unit >= WHITE:
         # Where the likelihood is rough the one that ended in a better valley would win, whatever its effect.
         rough = [h for h in leading(1) if h.deviance < bar]
@@ -344,9 +353,10 @@ def _on_credit(cases: Sequence[Case], this: Round, candidates: Sequence[str], he
         if this.before.deviance - h.deviance < compare.LEAST * this.unit:
             continue
         open_ = [c for c in candidates if c not in h.point.structure]
-        ways = [partial(_following, cases, h.point, open_, held)]
-        ways += [partial(_finished, cases, n, held, h.point.density) for n in contest(cases, h.point, open_)[:NEAR]]
-        both = [x.point for found in each(call, ways) for x in found if plausible(cases, x.point, h.point)]
+        ways = (partial(_following, cases, h.point, open_, held), partial(contest, cases, h.point, open_))
+        follow, near = each(call, ways)
+        ended = _finished(cases, near[:NEAR], held, h.point.density)
+        both = [x.point for x in (*follow, *ended) if plausible(cases, x.point, h.point)]
         earning = max(both, key=partial(compare.earned, this.before), default=h.point)
         enough = compare.earned(this.before, earning) > 2.0 * compare.LEAST
         if enough and compare.earns(h.point, earning) and shows(cases, this.before, earning):

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin import likelihood, locate, package, ready, unknown
+from twin.cores import each
 from twin.equations import timed
 from twin.finding import Trace
 from twin.likelihood import Case, Point
@@ -104,7 +105,8 @@ def traces(before: Model, after: Model, parts: Sequence[tuple[str, Part]], close
     lead = math.inf if clocked else float(np.clip(3.0 / max(after.values.get("viscous_friction", 0.0), 1e-9), *_LEAD))
     out = []
     with tempfile.TemporaryDirectory() as folder:
-        fmus = [package.export(m, Path(folder) / f"{i}.fmu") for i, m in enumerate((before, after))]
+        places = [(before, Path(folder) / "before.fmu"), (after, Path(folder) / "after.fmu")]
+        fmus = each(lambda place: package.export(*place), places)
         for role, part in parts:
             recording, inside = part.recording, part.inside
             if role == "train":
