@@ -796,3 +796,25 @@ def test_a_lag_is_tried_on_the_other_side_of_the_dead_band(behind: float) -> Non
         assert (other.deviance < begun.deviance) == (side != behind)
     delay = valleys.settle(cases, plain.with_("input_delay"), values | {"delay": 0.03}, {}, density)
     assert explain._on_the_other_side(cases, before, explain.Hypothesis(("input_delay",), delay), {}) == []
+
+
+@pytest.mark.parametrize("lag", [-140.0, -80.0])
+def test_what_goes_may_stand_in_the_place_of_what_stays(monkeypatch, lag: float) -> None:
+    """Of a lag and a delay that do the same the lag goes; alone it fits better than the delay, or nearly as well."""
+    first, joint = fitted(0.0), fitted(-85.0, "joint_elasticity")
+    both, delay = fitted(-150.0, "motor_lag", "input_delay"), fitted(-90.0, "input_delay")
+    other = fitted(lag, "motor_lag")
+    monkeypatch.setattr(valleys, "kept", lambda point: {})
+    monkeypatch.setattr(valleys, "settle", lambda *rest: delay)
+    monkeypatch.setattr(valleys, "highest", lambda *rest: joint)
+    monkeypatch.setattr(search, "_pruned", lambda cases, best, begun, held: (best, [begun]))
+    monkeypatch.setattr(search, "_swapped", lambda *rest: [search.Swap("input_delay", "motor_lag", other)])
+    told = (search.Swap("input_delay", "joint_elasticity", fitted(-140.0, "motor_lag", "joint_elasticity")),)
+    found = search.less(search.Search(first, both, (), (), swaps=told), ["motor_lag"], {})
+    alike = {(w.effect, w.rival): w.point for w in found.swaps}
+    if lag < delay.deviance:
+        assert found.last is other and alike == {("motor_lag", "input_delay"): delay}
+    else:
+        assert found.last is delay
+        assert alike == {("input_delay", "motor_lag"): other, ("input_delay", "joint_elasticity"): joint}
+    assert found.lesser == (first,)

@@ -537,16 +537,22 @@ def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) 
     return Search(first, best, (*found.rounds, *rounds), tuple(cases), (*lesser, first), tuple(swaps))
 
 
-def renewed(found: Search, last: Point, fewer: Sequence[str] = ()) -> Search:
-    """The search with another last model, which may have fewer effects, and what that is held against fitted anew."""
+def renewed(found: Search, last: Point) -> Search:
+    """The search with another last model of the same structure, and what that is held against fitted anew."""
     kept = valleys.kept(last)
     fits = _fits(found.cases, last, kept, _smaller(last.structure, found.first.structure))
-    swaps = _carried(found.cases, last, found.swaps, kept, fewer=fewer)
+    swaps = _carried(found.cases, last, found.swaps, kept)
     return replace(found, last=last, lesser=(*fits, found.first) if fits else (), swaps=tuple(swaps))
 
 
 def less(found: Search, effects: Sequence[str], values: Mapping[str, float]) -> Search:
-    """The search, its last model without some of its effects, from these values."""
+    """The search, its last model without some of its effects, from these values. What goes could as well have stood in
+    the place of what stays: of two that do the same it may be the other that fits better alone.
+    """
     kept, structure = valleys.kept(found.last), found.last.structure.without(*effects)
-    last = valleys.settle(found.cases, structure, values, kept, found.last.density)
-    return renewed(found, last, effects)
+    alone = valleys.settle(found.cases, structure, values, kept, found.last.density)
+    last, lesser, swaps = _weighed(found.cases, alone, found.first, found.rounds, kept)
+    told = {(w.effect, w.rival) for w in swaps}
+    carried = _carried(found.cases, last, found.swaps, kept, fewer=effects)
+    swaps += [w for w in carried if (w.effect, w.rival) not in told]
+    return replace(found, last=last, lesser=tuple(lesser), swaps=tuple(swaps))
