@@ -301,7 +301,7 @@ def compete(
 
     begun = list(known)
     for _ in range(AGAIN):
-        # What follows the missing torque is one climb after the other: it runs beside the contest.
+        # Regressions on the missing torque leave a core idle: the contest runs beside them.
         ways = [partial(way, cases, before, promising, held) for way in (_following, _freed)]
         follow, free, near = each(call, [*ways, partial(contest, cases, before, promising)])
         keep([*follow, *free, *_finished(cases, (*begun, *near[:NEAR]), held, density)])
