@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin import likelihood, locate, package, ready, unknown
-from twin.cores import each
 from twin.equations import timed
 from twin.finding import Trace
 from twin.likelihood import Case, Point
@@ -105,8 +104,7 @@ def traces(before: Model, after: Model, parts: Sequence[tuple[str, Part]], close
     lead = math.inf if clocked else float(np.clip(3.0 / max(after.values.get("viscous_friction", 0.0), 1e-9), *_LEAD))
     out = []
     with tempfile.TemporaryDirectory() as folder:
-        places = [(before, Path(folder) / "before.fmu"), (after, Path(folder) / "after.fmu")]
-        fmus = each(lambda place: package.export(*place), places)
+        fmus = [package.export(m, Path(folder) / f"{i}.fmu") for i, m in enumerate((before, after))]
         for role, part in parts:
             recording, inside = part.recording, part.inside
             if role == "train":
