@@ -553,6 +553,6 @@ def less(found: Search, effects: Sequence[str], values: Mapping[str, float]) -> 
     alone = valleys.settle(found.cases, structure, values, kept, found.last.density)
     last, lesser, swaps = _weighed(found.cases, alone, found.first, found.rounds, kept)
     told = {(w.effect, w.rival) for w in swaps}
-    carried = _carried(found.cases, last, found.swaps, kept, fewer=effects)
-    swaps += [w for w in carried if (w.effect, w.rival) not in told]
+    others = [w for w in found.swaps if (w.effect, w.rival) not in told]
+    swaps += _carried(found.cases, last, others, kept, fewer=effects)
     return replace(found, last=last, lesser=tuple(lesser), swaps=tuple(swaps))
