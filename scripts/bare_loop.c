@@ -1,5 +1,5 @@
 /* The base model written by hand for speed alone: what `bench.py` measures the compiled kernel against.
-   Inertia, viscous friction, dead-band, backlash; the same pieces, events and order as twin/axis.py, no derivatives. */
+   Inertia, viscous friction, dead-band, backlash; the same pieces, events and order as twin/model/stepper.py, no derivatives. */
 
 #include <math.h>
 

@@ -1,9 +1,9 @@
 """How fast: the kernel against a C loop written by hand, a step of the FMU, and the commands from end to end.
 
-    python scripts/bench.py            # all of it
-    python scripts/bench.py kernel     # a part: kernel, fmu, identify or commands
-    python scripts/bench.py diagnose   # fresh rigs with one effect concealed, and with two; not among "all of it"
-    python scripts/bench.py long       # time and memory on recordings of up to an hour; not among "all of it"
+python scripts/bench.py            # all of it
+python scripts/bench.py kernel     # a part: kernel, fmu, identify or commands
+python scripts/bench.py diagnose   # fresh rigs with one effect concealed, and with two; not among "all of it"
+python scripts/bench.py long       # time and memory on recordings of up to an hour; not among "all of it"
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def bare_loop(duty: np.ndarray) -> tuple[float, np.ndarray] | None:
 def bench_kernel() -> None:
     """Print the kernel's times and their ratio to the bare loop."""
     start = time.perf_counter()
-    from twin import kernel
-    from twin.axis import BASE, Structure
+    from twin.model.stepper import BASE, Structure
+    from twin.simulation import kernel
 
     rng = np.random.default_rng(0)
     duty = np.repeat(rng.uniform(-60.0, 60.0, SAMPLES // 500), 500)
@@ -98,22 +98,22 @@ def bench_kernel() -> None:
 
 def bench_identify() -> None:
     """Print where the time of an identification goes: without what the shipped recording hides, and with it."""
-    from twin import fitting, identify
-    from twin.recording import load
+    from twin.estimation import estimate, maximum_likelihood
+    from twin.io.recording import load
 
     recordings, rig = load([SHIPPED], SHIPPED.with_name("rig.toml"))
     reading = best(lambda: load([SHIPPED], SHIPPED.with_name("rig.toml")), 3)
     print(f"reading and looking for faults, {len(recordings[0].time)} samples: {1e3 * reading:.0f} ms")
-    fitting.compile_kernel(lambda sentence, share: None)
+    estimate.compile_kernel(lambda sentence, share: None)
     bare = bare_loop(recordings[0].input)
-    first = fitting.first_structure(rig, (), ())
+    first = estimate.first_structure(rig, (), ())
     for structure in (first, first.with_("motor_lag")):
         laps: list[tuple[str, float, float]] = []
 
         def lap(stage: str, share: float, laps: list[tuple[str, float, float]] = laps) -> None:
             laps.append((stage, time.perf_counter(), time.process_time()))
 
-        identify.identify(recordings, structure, progress=lap)
+        maximum_likelihood.identify(recordings, structure, progress=lap)
         lap("in all", 1.0)
         print(f"identify, {len(recordings[0].time)} samples, {structure}:        s    CPU-s")
         ends = [*laps[1:], laps[-1]]
@@ -127,15 +127,17 @@ def bench_diagnose(trials: int = 8, seconds: float = 60.0) -> None:
     """Print how long a diagnosis takes, stage by stage, of as many rigs of the second simulator as trials."""
     from blind_trial import START, make
 
-    from twin import extend, fitting, kernel, ready
+    from twin.diagnosis import diagnose
+    from twin.estimation import estimate, preparation
+    from twin.simulation import kernel
 
-    fitting.compile_kernel(lambda sentence, share: None)
-    kernel.warm(ready.base_structure().with_("unknown_time"))
+    estimate.compile_kernel(lambda sentence, share: None)
+    kernel.warm(preparation.base_structure().with_("unknown_time"))
     for kind in ("single", "pair"):
         walls = []
         for trial in range(trials):
             label, _, recording = make(83, trial, (kind,), seconds, "circuit")
-            found = extend.diagnose([recording], START)
+            found = diagnose.diagnose([recording], START)
             walls.append(sum(found.seconds.values()))
             stages = ", ".join(f"{stage} {s:.1f}" for stage, s in found.seconds.items())
             hidden = " + ".join(e.id for e in label.effects)
@@ -148,7 +150,7 @@ def bench_commands() -> None:
     rig = SHIPPED.with_name("rig.toml")
     with tempfile.TemporaryDirectory() as folder:
         for name, extra in (("identify", ["--out", f"{folder}/model.toml"]), ("run", ["--out", f"{folder}/out"])):
-            command = [sys.executable, "-m", "twin.cli", name, str(SHIPPED), "--rig", str(rig), "--quiet", *extra]
+            command = [sys.executable, "-m", "twin.cli.main", name, str(SHIPPED), "--rig", str(rig), "--quiet", *extra]
             start = time.perf_counter()
             done = subprocess.run(command, check=False)
             state = "" if done.returncode == 0 else f" (exit {done.returncode})"

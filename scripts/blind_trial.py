@@ -36,11 +36,11 @@ from concealed import Concealed, visibility
 from excitations import EXCITATIONS, FREE
 from simulators import SIMULATORS
 
-from twin import extend
-from twin.axis import Structure
+from twin.diagnosis import diagnose
 from twin.effects.catalogue import BASE, CANDIDATES
-from twin.fitting import compile_kernel
-from twin.recording import Recording
+from twin.estimation.estimate import compile_kernel
+from twin.io.recording import Recording
+from twin.model.stepper import Structure
 
 Array = NDArray[np.float64]
 
@@ -242,7 +242,7 @@ def ask(recording: Recording, candidates: Sequence[str] = CANDIDATES) -> Answer:
     """The tool's answer to a recording alone, from the base structure."""
     begun = time.perf_counter()
     try:
-        found = extend.diagnose([recording], START, candidates=candidates)
+        found = diagnose.diagnose([recording], START, candidates=candidates)
     except Exception as error:  # a trial that the tool does not survive counts against it and ends no study
         return Answer(FAILED, (), math.nan, math.nan, time.perf_counter() - begun, f"{type(error).__name__}: {error}")
     held_out = found.fit["holdout"]

@@ -22,17 +22,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from excitations import FREE, rich
 
-from twin.axis import Structure
-from twin.control import design
-from twin.controller import Controller
-from twin.cosim import Hunting, ModelPlant, Sampler, Tracking, close, simulate
+from twin.control.controller import Controller
+from twin.control.cosimulation import Hunting, ModelPlant, Sampler, Tracking, close, simulate
+from twin.control.design import design
+from twin.control.reference import make_reference
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
-from twin.identify import identify
-from twin.kernel import Drive, known_vector, predict, start_state, vector
-from twin.model import Model
-from twin.recording import Recording
-from twin.reference import make_reference
+from twin.estimation.maximum_likelihood import identify
+from twin.io.recording import Recording
+from twin.model.fitted_model import Model
+from twin.model.stepper import Structure
+from twin.simulation.kernel import Drive, known_vector, predict, start_state, vector
 
 COUNT = 2.0 * math.pi / 10000
 EFFECTS = ("gravity", "coulomb_friction")

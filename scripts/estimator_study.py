@@ -32,10 +32,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from excitations import EXCITATIONS, FREE
 from simulators import SIMULATORS
 
-from twin import identify, likelihood
-from twin.ready import base_structure, free_parameters
-from twin.recording import Recording
-from twin.two_stage import two_stage
+from twin.estimation import likelihood, maximum_likelihood
+from twin.estimation.preparation import base_structure, free_parameters
+from twin.estimation.two_stage import two_stage
+from twin.io.recording import Recording
 
 METHODS = ("paper, speeds", "paper, positions", "joint")
 DUTIES = ("dead_band_forward", "dead_band_reverse")  # errors in duty, not relative
@@ -99,7 +99,7 @@ def by_paper(recording: Recording, form: str) -> dict[str, Estimate]:
 
 
 def jointly(recording: Recording) -> dict[str, Estimate]:
-    found = identify.identify([recording], base_structure())
+    found = maximum_likelihood.identify([recording], base_structure())
     return {n: (found.values[n], found.std(n), *found.intervals.get(n, (math.nan, math.nan))) for n in found.fitted}
 
 

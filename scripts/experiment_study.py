@@ -41,11 +41,12 @@ from excitations import Limits as Range
 from excitations import Signal, paper, rich
 from mujoco_rig import TURN, Rig, draw_effect, draw_rig, simulate
 
-from twin import ascent, compare, explain, likelihood, ready, valleys
-from twin.experiment import NEEDED, Limits, separate, sharpen
-from twin.finding import Experiment
-from twin.likelihood import Case, Point
-from twin.recording import Recording
+from twin.diagnosis import model_comparison, selection_round
+from twin.diagnosis.experiment_design import NEEDED, Limits, separate, sharpen
+from twin.diagnosis.result import Experiment
+from twin.estimation import likelihood, local_optima, multistart, preparation
+from twin.estimation.likelihood import Case, Point
+from twin.io.recording import Recording
 
 Array = NDArray[np.float64]
 
@@ -129,20 +130,20 @@ def in_mesh(case: Case, point: Point) -> Case:
 
 def fitted(first: Case, recordings: Sequence[Recording], point: Point, *others: Point) -> Point:
     """The model refitted to the first recording and others, from its values or those it shares with other points."""
-    added = ready.with_steps(ready.prepare(recordings, point.structure), point.structure)
+    added = preparation.with_steps(preparation.prepare(recordings, point.structure), point.structure)
     added = [replace(in_mesh(c, point), reading_variance=first.reading_variance) for c in added]
-    cases = [*ready.with_steps([first], point.structure), *added]
+    cases = [*preparation.with_steps([first], point.structure), *added]
     starts = [{n: p.values.get(n, v) for n, v in point.values.items()} for p in (point, *others)]
-    tried = [valleys.settle(cases, point.structure, v, {}, point.density) for v in starts]
+    tried = [local_optima.settle(cases, point.structure, v, {}, point.density) for v in starts]
     return min(tried, key=lambda p: p.deviance)
 
 
 def smallest(first: Recording) -> tuple[list[Case], Point, Point]:
     """The base model of a recording, roughly and as structures compete with it, the way the tool comes to it."""
-    structure = ready.base_structure()
-    cases, rough = ascent.start([first], structure, {})
-    cases, fine = ascent.polish(cases, ascent.refine(cases, structure, rough, {}))
-    return cases, rough, valleys.settle(cases, structure, fine.values, {}, valleys.judged(cases, fine))
+    structure = preparation.base_structure()
+    cases, rough = multistart.start([first], structure, {})
+    cases, fine = multistart.polish(cases, multistart.refine(cases, structure, rough, {}))
+    return cases, rough, local_optima.settle(cases, structure, fine.values, {}, local_optima.judged(cases, fine))
 
 
 # ---- the worst-known parameter ----
@@ -150,7 +151,7 @@ def smallest(first: Recording) -> tuple[list[Case], Point, Point]:
 
 def worths(recording: Recording, first: Case, point: Point) -> tuple[Array, Array]:
     """Of each stretch of a recording: slope (m, n) and information (m, n, n) about the free parameters."""
-    (case,) = ready.with_steps(ready.prepare([recording], point.structure), point.structure)
+    (case,) = preparation.with_steps(preparation.prepare([recording], point.structure), point.structure)
     case = replace(in_mesh(case, point), reading_variance=first.reading_variance)
     run = likelihood.innovations(case, point.structure, point.values, point.density, point.free)
     variance = run.variance * point.scale
@@ -212,13 +213,13 @@ def parameter_trial(seed: int) -> Row | None:
 def rivals(first: Recording, pair: tuple[str, str]) -> tuple[list[Case], dict[str, Point]]:
     """Both models of a pair as the tool fits them; one may be missing where a recording cannot show it."""
     cases, rough, base = smallest(first)
-    found = explain.compete(cases, base, rough, pair, {})
+    found = selection_round.compete(cases, base, rough, pair, {})
     return cases, {h.added[0]: h.point for h in found.rivals}
 
 
 def units(one: Point, other: Point) -> float:
     """Log-likelihood by which one model leads the other, in units of what it is worth."""
-    return 0.5 * (other.deviance - one.deviance) / compare.worth([one, other])
+    return 0.5 * (other.deviance - one.deviance) / model_comparison.worth([one, other])
 
 
 @dataclass(frozen=True, eq=False)

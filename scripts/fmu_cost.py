@@ -19,10 +19,10 @@ from unittest import mock
 import fmpy
 from fmpy.fmi2 import FMU2Slave
 
-from twin import compilers, native, package
-from twin.axis import Structure
 from twin.effects.catalogue import BASE
-from twin.model import Model
+from twin.fmi import compilers, native_fmu, python_fmu
+from twin.model.fitted_model import Model
+from twin.model.stepper import Structure
 
 SCRIPTS = Path(__file__).resolve().parent
 STRUCTURES = {
@@ -42,7 +42,7 @@ def run(command: list[str], folder: Path, given: str = "") -> str:
 def bare(model: Model, pieces: int, repeat: int, folder: Path) -> float:
     """Seconds that the physics alone takes."""
     if not (folder / "bare").exists():
-        (folder / "model.h").write_text(native.sources(native.of_axis(model), 2)["model.h"])
+        (folder / "model.h").write_text(native_fmu.sources(native_fmu.of_axis(model), 2)["model.h"])
         told = ["cc", *compilers.OPTIONS, f"-I{folder}", "-o", "bare", str(SCRIPTS / "bare_axis.c"), "-lm"]
         run(told, folder)
     told = ["./bare", str(pieces), str(repeat), repr(pieces * model.longest_step)]
@@ -58,7 +58,7 @@ def from_c(fmu: Path, model: Model, fmi: int, pieces: int, repeat: int) -> float
         assert spec is not None and spec.origin is not None
         headers = Path(spec.origin).parent / "c-code"
         run(["cc", "-O2", "-std=c99", f"-I{headers}", "-o", "master", str(SCRIPTS / "master.c"), "-ldl"], folder)
-    who = native.identity(model)
+    who = native_fmu.identity(model)
     library = folder / "binaries" / {2: "linux64", 3: "x86_64-linux"}[fmi] / f"{who.identifier}.so"
     resources = (folder / "resources").as_uri() if fmi == 2 else f"{folder / 'resources'}/"
     told = [str(library), str(fmi), who.token, resources, repr(pieces * model.longest_step), str(repeat)]
@@ -103,10 +103,10 @@ def row(title: str, values: list[float], beside: list[float] | None = None) -> N
 
 def bench_structure(title: str, model: Model, plain: Path, repeat: int, folder: Path) -> None:
     """Print the table of one structure."""
-    fmus = {fmi: native.export_native(model, folder / f"native{fmi}.fmu", fmi) for fmi in (2, 3)}
-    compiled = package.export(model, folder / "python.fmu")
+    fmus = {fmi: native_fmu.export_native(model, folder / f"native{fmi}.fmu", fmi) for fmi in (2, 3)}
+    compiled = python_fmu.export(model, folder / "python.fmu")
     with mock.patch.object(compilers, "for_linux", lambda *_: None):
-        text = package.export(model, folder / "text.fmu")
+        text = python_fmu.export(model, folder / "text.fmu")
     lengths = [pieces * model.longest_step for pieces in PIECES]
     loop = [bare(model, pieces, repeat, folder) for pieces in PIECES]
     c = {fmi: [from_c(fmus[fmi], model, fmi, pieces, repeat) for pieces in PIECES] for fmi in fmus}

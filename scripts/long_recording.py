@@ -1,7 +1,7 @@
 """Time and memory that `twin identify` takes on recordings of up to an hour at 2 ms, made with the model's own kernel.
 
-    python scripts/long_recording.py                 # 4, 15 and 60 minutes
-    python scripts/long_recording.py --minutes 30
+python scripts/long_recording.py                 # 4, 15 and 60 minutes
+python scripts/long_recording.py --minutes 30
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from twin import kernel, model
-from twin.axis import Structure
 from twin.effects.catalogue import BASE
+from twin.model import fitted_model
+from twin.model.stepper import Structure
+from twin.simulation import kernel
 
 PERIOD = 0.002
 COUNTS = 10000  # per revolution, as the rig file says
@@ -67,7 +68,7 @@ def bench_long(minutes: Sequence[float] = (4.0, 15.0, 60.0)) -> None:
                 command, env={**os.environ, "OMP_NUM_THREADS": "1"}, check=True, capture_output=True, text=True
             )
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
-            found = model.read(Path(name) / "model.toml").values
+            found = fitted_model.read(Path(name) / "model.toml").values
             worst = max((abs(found[n] / v - 1.0), n) for n, v in VALUES.items())
         seconds = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
         samples = int(60.0 * length / PERIOD)

@@ -23,10 +23,12 @@ from pathlib import Path
 
 import numpy as np
 
-from twin import kernel, likelihood, native
-from twin.axis import Structure
-from twin.model import Model
-from twin.recording import Recording
+from twin.estimation import likelihood
+from twin.fmi import native_fmu
+from twin.io.recording import Recording
+from twin.model.fitted_model import Model
+from twin.model.stepper import Structure
+from twin.simulation import kernel
 
 STRUCTURE = Structure.of(["inertia", "viscous_friction", "coulomb_friction"])
 TRUTH = {"input_gain": 0.4, "viscous_friction": 1.5, "coulomb_friction": 1.0}
@@ -79,7 +81,7 @@ def theirs(recording: Recording, python: str) -> tuple[dict[str, float], float]:
     if has.returncode:
         sys.exit(f"ModestPy is not installed for {python}: see {Path(__file__).name}, and give --python")
     with tempfile.TemporaryDirectory() as folder:
-        native.export_native(Model(STRUCTURE, BEGIN, sample_time=PERIOD), Path(folder) / "axis.fmu", 2)
+        native_fmu.export_native(Model(STRUCTURE, BEGIN, sample_time=PERIOD), Path(folder) / "axis.fmu", 2)
         rows = zip(recording.time.tolist(), recording.input.tolist(), recording.output.tolist(), strict=True)
         lines = ["time,duty,position", *(f"{t:.6f},{u!r},{y!r}" for t, u, y in rows)]
         (Path(folder) / "recording.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -166,9 +166,7 @@ class State:
 
 Law = Callable[[State], float]
 Shaper = Callable[[float, State], float]
-Friction = Callable[
-    [float, State], float
-]  # of the speed of the body it brakes; the magnitude, never negative
+Friction = Callable[[float, State], float]  # of the speed of the body it brakes; the magnitude, never negative
 Parameters = dict[str, float]
 
 
@@ -384,9 +382,7 @@ VOCABULARY = tuple(i for i in EVERY if not i.startswith("other_"))
 OUTSIDE = tuple(i for i in EVERY if i.startswith("other_"))
 
 
-def draw_effect(
-    rng: np.random.Generator, id: str, rig: Rig, size: float, duration: float = 60.0
-) -> Concealed:
+def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, duration: float = 60.0) -> Concealed:
     """An effect of the given size, the rest of its parameters at random; size 0 is no effect at all.
 
     `size` is the effect's torque as a fraction of the drive's at 50 % duty. Where there is no torque to speak
@@ -672,9 +668,7 @@ def _run(
             dry[1] = (1.0 - motor_part) * sum([law(rates[1], s) for law in friction])
         if change and now >= change["time"]:
             model.dof_armature[1] += machine.inertia[1] * (change["factor"] - 1.0)
-            mujoco.mj_setConst(
-                model, mujoco.MjData(model)
-            )  # else the engine goes on with the mass matrix it has
+            mujoco.mj_setConst(model, mujoco.MjData(model))  # else the engine goes on with the mass matrix it has
             change = None
         applied[0], applied[1] = motor, link
         advance(model, data)

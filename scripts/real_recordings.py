@@ -24,11 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from twin import extend, fitting, hold_out, identify, phrases, recording
-from twin.axis import Structure
-from twin.finding import Diagnosis
-from twin.likelihood import Point
-from twin.model import Model
+from twin.diagnosis import diagnose, holdout
+from twin.diagnosis.result import Diagnosis
+from twin.estimation import estimate, maximum_likelihood
+from twin.estimation.likelihood import Point
+from twin.io import recording
+from twin.model.fitted_model import Model
+from twin.model.stepper import Structure
+from twin.report import wording
 
 FloatArray = NDArray[np.float64]
 Figures = dict[str, float]
@@ -45,7 +48,7 @@ def _errors(found: Diagnosis, which: str) -> Errors:
 
 def _run(model: Model, recordings: Sequence[recording.Recording], closed: bool = False) -> Errors:
     """The same for a model of its own, by the kernel (which the FMU equals), from the recorded start."""
-    return [(r.name, hold_out.rerun(model, r, closed) - r.output) for r in recordings]
+    return [(r.name, holdout.rerun(model, r, closed) - r.output) for r in recordings]
 
 
 def _rms(errors: Sequence[FloatArray]) -> float:
@@ -95,7 +98,7 @@ def _emps_floor(recordings: Recordings, model: Model) -> str:
     floor = _rms([(apart + train.output - held_out.output)[20:]])
     moved = np.sign(np.gradient(train.output))
     share = float(np.mean(held_out.input * moved) / np.mean(train.input * moved)) - 1.0
-    own = identify.for_horizon(model, [replace(held_out, role="train")], float(held_out.time[-1]))
+    own = maximum_likelihood.for_horizon(model, [replace(held_out, role="train")], float(held_out.time[-1]))
     return (
         f"{1e3 * floor:.2g} mm for a model exact on the training record, because the same motion took "
         f"{100.0 * share:.1f} % more voltage in the other; "
@@ -236,14 +239,14 @@ def outcome(name: str, data: Path, quick: bool) -> Outcome:
     chosen = SETS[name]
     began = time.perf_counter()
     recordings, rig = recordings_of(name, data, quick)
-    first = fitting.first_structure(rig, chosen.more, chosen.fewer)
-    found = extend.diagnose(recordings, first)
+    first = estimate.first_structure(rig, chosen.more, chosen.fewer)
+    found = diagnose.diagnose(recordings, first)
     held_out = [r for r in recordings if r.role == "holdout"]
     whole = max(float(r.time[-1]) for r in recordings)
     errors = {when: _errors(found, when) for when in ("before", "after")}
-    errors["for whole runs"] = _run(identify.for_horizon(found.after, recordings, whole), held_out)
+    errors["for whole runs"] = _run(maximum_likelihood.for_horizon(found.after, recordings, whole), held_out)
     if chosen.closed:
-        looped = identify.for_horizon(found.after, recordings, whole, closed=True)
+        looped = maximum_likelihood.for_horizon(found.after, recordings, whole, closed=True)
         errors["own loop, after"] = _run(found.after, held_out, closed=True)
         errors["own loop, for whole runs"] = _run(looped, held_out, closed=True)
     figures = {when: chosen.metric(recordings, e) for when, e in errors.items()}
@@ -261,7 +264,7 @@ def report(name: str, data: Path, quick: bool) -> str:
         f"  first model    {came.first}",
         f"  verdict        {found.verdict}",
         *(f"  effect         {f.id} ({100.0 * f.probability:.0f} %): {f.says}" for f in found.findings),
-        *(f"  undecided      {phrases.doubt(u)}" for u in found.undecided),
+        *(f"  undecided      {wording.doubt(u)}" for u in found.undecided),
         *(f"  remark         {said}" for said in found.remarks),
         f"  expected       {chosen.expected}",
         *(f"  numbers        {text}" for text in [_shown(chosen.numbers(found.after))] if text),

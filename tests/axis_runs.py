@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from twin import kernel
-from twin.axis import Structure
 from twin.effects import knots, unknown_gain, varying_inertia, waves
 from twin.effects.catalogue import EFFECTS, UNKNOWN
+from twin.model.stepper import Structure
+from twin.simulation import kernel
 
 #: Sizes that a small geared axis may have (duty in percent, angles in rad).
 SANE: dict[str, tuple[float, float]] = {
@@ -138,4 +138,3 @@ def run(
     recording = drive(time, command, step, known)
     run = kernel.predict(recording, kernel.vector(structure, values), x, keep_states=True)
     return run.reading, run.states
-

@@ -17,9 +17,10 @@ LONG = ("test_masked_pairs", "test_undecided")
 def pytest_configure(config: pytest.Config) -> None:
     if hasattr(config, "workerinput") or config.option.collectonly:
         return
-    from twin import kernel, ready
+    from twin.estimation import preparation
+    from twin.simulation import kernel
 
-    base = ready.base_structure()
+    base = preparation.base_structure()
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
         list(pool.map(kernel.warm, (base, base.with_("unknown_time"))))
 

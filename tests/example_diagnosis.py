@@ -7,15 +7,15 @@ from functools import cache
 
 import numpy as np
 
-from twin import locate
-from twin.axis import BASE, Structure
-from twin.cosim import ModelPlant
-from twin.finding import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
-from twin.locate import Missing, Segment
-from twin.model import Model
-from twin.recording import Fault, Recording
-from twin.rig import Clock, Column, Rig
-from twin.writers import latex
+from twin.codegen import latex
+from twin.control.cosimulation import ModelPlant
+from twin.diagnosis import residual_torque
+from twin.diagnosis.residual_torque import Missing, Segment
+from twin.diagnosis.result import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
+from twin.io.recording import Fault, Recording
+from twin.io.rig_file import Clock, Column, Rig
+from twin.model.fitted_model import Model
+from twin.model.stepper import BASE, Structure
 
 VALUES = {
     "input_gain": 0.4, "viscous_friction": 1.8, "dead_band_forward": 6.0, "dead_band_reverse": 5.0,
@@ -105,8 +105,8 @@ def example(verdict: str = "explained", several: bool = False, axis_unit: str = 
         traces=tuple(traces),
         missing_before=missing,
         missing_after=lacking,
-        shapes_before=tuple(locate.shapes(missing)),
-        shapes_after=tuple(locate.shapes(lacking)),
+        shapes_before=tuple(residual_torque.shapes(missing)),
+        shapes_after=tuple(residual_torque.shapes(lacking)),
         recordings=recordings,
         experiment=Experiment("Travel over more than half a turn.", *excitation(2.0)),
         undecided=(Undecided(("gravity", "spring"), (0.62, 0.37), "travel over more than half a turn"),),

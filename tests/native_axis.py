@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from twin import kernel
-from twin.axis import EVERYTHING, Structure
-from twin.model import Model
+from twin.model.fitted_model import Model
+from twin.model.stepper import EVERYTHING, Structure
+from twin.simulation import kernel
 
 VALUES = {
     "input_gain": 1.2,
@@ -72,9 +72,7 @@ def command(count: int, held: int = 1) -> np.ndarray:
     return np.repeat(u[::held], held)[:count]
 
 
-def by_kernel(
-    model: Model, u: np.ndarray, position: float, velocity: float, period: float = PERIOD
-) -> np.ndarray:
+def by_kernel(model: Model, u: np.ndarray, position: float, velocity: float, period: float = PERIOD) -> np.ndarray:
     """Position, velocity, reading and hidden states (N, states) from a free run of the compiled kernel."""
     count = len(u)
     drive = kernel.Drive(

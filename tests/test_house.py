@@ -5,18 +5,15 @@ from __future__ import annotations
 import ast
 import re
 import subprocess
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-#: A module of `twin` imports only names that stand before its own.
-ORDER = """errors cores tomlfile files style quantities words effects axis equations sensing model variables description
-    writers lanes kernel faults rig formats manifest recording loop likelihood meetings ready startup ascent
-    two_stage identify fitting locate compare plausibility screening following valleys foretold explain
-    unknown redrawn finding experiment archive running compilers package native ssp search hold_out extend
-    sampled controller linear control reference controller_fmu robust cosim phrases figures report pipeline
-    cli checks pytest_plugin __main__"""
+#: A package of `twin` imports only from those that stand before it.
+ORDER = """errors parallel effects io model codegen simulation fmi estimation control diagnosis report pipeline testing
+    cli __main__"""
 TOP = {
     "pyproject.toml", "fmu_src", "twin", "tests", "models", "scripts", "README.md", "LICENSE", "CONTRIBUTING.md",
     "docs", ".ci", ".gitignore",
@@ -30,18 +27,23 @@ def tracked() -> list[Path]:
     return [ROOT / name for name in listed.stdout.decode().split("\0") if name and (ROOT / name).exists()]
 
 
-def imports(path: Path) -> set[str]:
-    """First names under `twin` that a file imports; "" for the root itself, "fmu_src" for that."""
+def imported_names(path: Path) -> set[str]:
+    """Dotted names that a file imports: modules, and what is taken from them."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.Import):
+            found |= {a.name for a in node.names}
         if isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            names = [f"{node.module}.{a.name}" for a in node.names]
-        for name in (n.split(".") for n in names):
-            if name[0] in ("twin", "fmu_src"):
-                found.add("fmu_src" if name[0] == "fmu_src" else name[1] if len(name) > 1 else "")
+            found |= {f"{node.module}.{a.name}" for a in node.names}
     return found
+
+
+def imports(path: Path) -> set[str]:
+    """First names under `twin` that a file imports; "" for the root itself, "fmu_src" for that."""
+    split = [name.split(".") for name in imported_names(path)]
+    inside = {name[1] if len(name) > 1 else "" for name in split if name[0] == "twin"}
+    return inside | {"fmu_src" for name in split if name[0] == "fmu_src"}
 
 
 def modules() -> list[Path]:
@@ -53,9 +55,27 @@ def test_imports_run_one_way(path):
     own = path.relative_to(ROOT / "twin").parts[0].removesuffix(".py")
     order = ORDER.split()
     assert own in order, f"give {own} its place in the order"
-    allowed = {*order[: order.index(own)], *([own] if path.parent.name == own else [])}
-    allowed |= {"fmu_src"} if own in {"package", "controller_fmu"} else set()  # these two pack
+    allowed = {*order[: order.index(own)], own}
+    allowed |= {"fmu_src"} if own in {"fmi", "control"} else set()  # these two pack
     assert imports(path) <= allowed
+
+
+def test_no_two_files_import_each_other():
+    names = {p: ".".join(p.relative_to(ROOT).with_suffix("").parts) for p in modules()}
+    graph = {
+        own: {name for name in set(names.values()) - {own} if any(f"{i}.".startswith(f"{name}.") for i in imported)}
+        for own, imported in ((names[path], imported_names(path)) for path in modules())
+    }
+    assert tuple(TopologicalSorter(graph).static_order())
+
+
+def test_the_root_holds_packages_and_at_most_six_files():
+    assert len([p for p in tracked() if p.parent == ROOT / "twin"]) <= 6
+
+
+def test_every_package_says_what_it_is_for():
+    for path in (ROOT / "twin").glob("*/__init__.py"):
+        assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), path
 
 
 def test_nobody_imports_the_package_root_and_the_root_is_empty():

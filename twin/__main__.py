@@ -2,7 +2,7 @@
 
 import sys
 
-from twin.cli import main
+from twin.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

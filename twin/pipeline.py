@@ -11,14 +11,18 @@ from pathlib import Path
 
 from fmpy.validation import validate_fmu
 
-from twin import control, controller, cosim, extend, finding, fitting, hold_out, model, package, two_stage
-from twin.controller import Controller
-from twin.cosim import Tracking
+from twin.control import controller, cosimulation, design
+from twin.control.controller import Controller
+from twin.control.cosimulation import Tracking
+from twin.diagnosis import diagnose, holdout, result
 from twin.errors import BadInput
-from twin.files import check_place, json_text, put
-from twin.model import Model
-from twin.recording import Recording, Rig
-from twin.report import Check, Story, html
+from twin.estimation import estimate, two_stage
+from twin.fmi import python_fmu
+from twin.io.files import check_place, json_text, put
+from twin.io.recording import Recording, Rig
+from twin.model import fitted_model
+from twin.model.fitted_model import Model
+from twin.report.html import Check, Story, html
 
 Progress = Callable[[str, float], None]
 
@@ -33,7 +37,7 @@ def check(fmu: Path, name: str, log: Recording) -> Check:
     """Validate an FMU with FMPy and replay a recording through it."""
     began = time.perf_counter()
     problems = tuple(str(p) for p in validate_fmu(str(fmu)))
-    ran = package.replay(fmu, log)
+    ran = python_fmu.replay(fmu, log)
     return Check(name, log.name, ran.rmse(log), ran.nrmse_percent(log), time.perf_counter() - began, problems)
 
 
@@ -52,11 +56,11 @@ def _closed_loop(
 ) -> tuple[Controller | None, Tracking | None, tuple[str, ...]]:
     """Controller, tracking, and why there is none where there is none."""
     try:
-        made = control.design(found, bandwidth)
+        made = design.design(found, bandwidth)
     except BadInput as error:
         return None, None, (f"No controller could be made: {error}.",)
     try:
-        return made, cosim.run(fmu, made), ()
+        return made, cosimulation.run(fmu, made), ()
     except BadInput as error:
         return made, None, (f"The closed loop could not be run: {error}.",)
 
@@ -72,13 +76,13 @@ def run(
     _check_folder(out, force)
     tell = progress or (lambda sentence, share: None)
     began = time.perf_counter()
-    structure = fitting.first_structure(rig, more, fewer)
-    fitting.compile_kernel(tell)
+    structure = estimate.first_structure(rig, more, fewer)
+    estimate.compile_kernel(tell)
     tell("steady states and transients", 0.03)
-    training, _ = hold_out.split(recordings)
+    training, _ = holdout.split(recordings)
     simple = two_stage.two_stage(training)
-    diagnosis = extend.diagnose(recordings, structure, progress=lambda s, x: tell(s, 0.05 + 0.75 * x))
-    before, after = (fitting.with_largest_command(m, recordings) for m in (diagnosis.before, diagnosis.after))
+    diagnosis = diagnose.diagnose(recordings, structure, progress=lambda s, x: tell(s, 0.05 + 0.75 * x))
+    before, after = (estimate.with_largest_command(m, recordings) for m in (diagnosis.before, diagnosis.after))
     diagnosis = replace(diagnosis, before=before, after=after)
     scratch = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name[:50]}-"))
     try:
@@ -86,18 +90,18 @@ def run(
         checks = []
         for name, kept, fmu in (("model", before, "arm.fmu"), ("improved", after, "improved.fmu")):
             tell(f"checking {fmu} in FMPy", 0.82)
-            put(scratch / f"{name}.toml", model.dumps(kept))
-            package.export(kept, scratch / fmu)
+            put(scratch / f"{name}.toml", fitted_model.dumps(kept))
+            python_fmu.export(kept, scratch / fmu)
             checks.append(check(scratch / fmu, fmu, longest))
         tell("controller and closed loop", 0.9)
         made, tracking, remarks = _closed_loop(after, scratch / "improved.fmu", bandwidth)
         if made is not None:
             put(scratch / "controller.toml", controller.dumps(made))
-        experiment = finding.experiment_csv(diagnosis.experiment, after.input_name)
+        experiment = result.experiment_csv(diagnosis.experiment, after.input_name)
         if experiment:
             put(scratch / "next_experiment.csv", experiment)
         experiment_file = "next_experiment.csv" if experiment else ""
-        put(scratch / "diagnosis.json", json_text(finding.to_json(diagnosis, experiment_file)))
+        put(scratch / "diagnosis.json", json_text(result.to_json(diagnosis, experiment_file)))
         seconds = {**diagnosis.seconds, "in all": time.perf_counter() - began}
         story = Story(diagnosis, rig, simple, tuple(checks), made, tracking, experiment_file, seconds, remarks)
         tell("writing the report", 0.96)

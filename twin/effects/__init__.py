@@ -1,1 +1,1 @@
-"""The pages of physics; twin.effects.catalogue lists them."""
+"""The vocabulary of physics: one page an effect, listed in the catalogue."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from twin.effects.effect import Effect
-from twin.quantities import Parameter
+from twin.effects.parameter import Parameter
 
 EFFECT = Effect(
     id="backlash",
@@ -12,9 +12,7 @@ EFFECT = Effect(
     slot="structure",
     parameters=(
         Parameter("backlash_gap", "{x}", "whole width of the gap, at the link", 0.0, 0.0, 0.5, 0.01),
-        Parameter(
-            "motor_share", "1", "the motor's share of the inertia, seen at the link", None, 0.02, 0.98, 0.25
-        ),
+        Parameter("motor_share", "1", "the motor's share of the inertia, seen at the link", None, 0.02, 0.98, 0.25),
         Parameter(
             "friction_share", "1", "the motor's share of the viscous friction, seen at the link", None, 0.0, 1.0, 0.7
         ),

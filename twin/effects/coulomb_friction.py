@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect, Screen
-from twin.quantities import Parameter
+from twin.effects.parameter import Parameter
 
 
 def law(q: Any, p: Any) -> Any:
@@ -17,9 +17,7 @@ EFFECT = Effect(
     title="dry (Coulomb) friction",
     station="friction",
     slot="grip",
-    parameters=(
-        Parameter("coulomb_friction", "{x}/s^2", "size of the dry friction, over inertia", 0.0, 0.0),
-    ),
+    parameters=(Parameter("coulomb_friction", "{x}/s^2", "size of the dry friction, over inertia", 0.0, 0.0),),
     law=law,
     depends_on=("direction",),
     promises=frozenset({"dissipative", "odd", "memoryless"}),

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect, Screen
-from twin.quantities import Parameter
-from twin.words import maximum, minimum
+from twin.effects.math_ops import maximum, minimum
+from twin.effects.parameter import Parameter
 
 
 def law(q: Any, p: Any) -> Any:
@@ -19,9 +19,7 @@ EFFECT = Effect(
     station="drive",
     slot="drive",
     parameters=(
-        Parameter(
-            "saturation_limit", "{u}", "largest command that the drive passes on", None, 0.0, start=100.0
-        ),
+        Parameter("saturation_limit", "{u}", "largest command that the drive passes on", None, 0.0, start=100.0),
     ),
     law=law,
     depends_on=("input",),

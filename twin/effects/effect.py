@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from twin.quantities import Parameter
+from twin.effects.parameter import Parameter
 
 Law = Callable[[Any, Any], Any]
 

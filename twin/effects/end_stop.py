@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect, Screen
-from twin.quantities import Parameter
-from twin.words import maximum, where
+from twin.effects.math_ops import maximum, where
+from twin.effects.parameter import Parameter
 
 #: Where stops stand that nothing met, in the axis' unit.
 NOWHERE = {"stop_upper": 1e3, "stop_lower": -1e3}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect, Screen
-from twin.quantities import Parameter
+from twin.effects.parameter import Parameter
 
 
 def law(q: Any, p: Any) -> Any:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect, Screen
+from twin.effects.math_ops import sin
+from twin.effects.parameter import Parameter
 from twin.effects.phases import polar
-from twin.quantities import Parameter
-from twin.words import sin
 
 
 def law(q: Any, p: Any) -> Any:

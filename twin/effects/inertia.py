@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from twin.effects.effect import Effect
-from twin.quantities import Parameter
+from twin.effects.parameter import Parameter
 
 # The stepper itself multiplies the command that acts by the input gain: it is the unit of everything else.
 EFFECT = Effect(

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from itertools import accumulate, pairwise
 from typing import Any
 
-from twin.quantities import Parameter
-from twin.words import maximum, minimum
+from twin.effects.math_ops import maximum, minimum
+from twin.effects.parameter import Parameter
 
 KNOTS = 12
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect, Screen
-from twin.quantities import Parameter
-from twin.words import where
+from twin.effects.math_ops import where
+from twin.effects.parameter import Parameter
 
 
 def law(q: Any, p: Any) -> Any:

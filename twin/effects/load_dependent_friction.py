@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect, Screen
-from twin.quantities import Parameter
-from twin.words import absolute
+from twin.effects.math_ops import absolute
+from twin.effects.parameter import Parameter
 
 
 def law(q: Any, p: Any) -> Any:
@@ -18,9 +18,7 @@ EFFECT = Effect(
     title="friction that grows with the transmitted torque",
     station="friction",
     slot="grip",
-    parameters=(
-        Parameter("load_friction", "1", "dry friction per unit of transmitted torque", 0.0, 0.0, 0.95),
-    ),
+    parameters=(Parameter("load_friction", "1", "dry friction per unit of transmitted torque", 0.0, 0.0, 0.95),),
     law=law,
     depends_on=("load", "direction"),
     promises=frozenset({"dissipative", "odd", "memoryless"}),

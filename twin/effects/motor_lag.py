@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from twin.effects.effect import Effect, Screen
-from twin.quantities import Parameter
+from twin.effects.parameter import Parameter
 
 EFFECT = Effect(
     id="motor_lag",
@@ -13,7 +13,13 @@ EFFECT = Effect(
     parameters=(
         Parameter("lag_time", "s", "time constant between command and torque", None, 1e-5, 2.0, 0.01),
         Parameter(
-            "lag_dead_band", "1", "share of the dead-band that lies behind the lag", None, 0.0, 1.0, estimated=False,
+            "lag_dead_band",
+            "1",
+            "share of the dead-band that lies behind the lag",
+            None,
+            0.0,
+            1.0,
+            estimated=False,
             acts_on="dead_band",
         ),
     ),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect
-from twin.quantities import Parameter
+from twin.effects.parameter import Parameter
 
 
 def law(q: Any, p: Any) -> Any:
@@ -17,9 +17,7 @@ EFFECT = Effect(
     title="payload of known inertia",
     station="inertia",
     slot="mass",
-    parameters=(
-        Parameter("own_inertia", "kg*m^2", "inertia of the drive without payload", None, 1e-9, start=0.01),
-    ),
+    parameters=(Parameter("own_inertia", "kg*m^2", "inertia of the drive without payload", None, 1e-9, start=0.01),),
     law=law,
     depends_on=("acceleration",),
     promises=frozenset({"memoryless"}),

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect, Screen
+from twin.effects.math_ops import sin
+from twin.effects.parameter import Parameter
 from twin.effects.phases import polar
-from twin.quantities import Parameter
-from twin.words import sin
 
 
 def law(q: Any, p: Any) -> Any:
@@ -28,9 +28,7 @@ EFFECT = Effect(
     promises=frozenset({"memoryless"}),
     sentence="Dry friction varies over a turn by {friction_variation} either way (rising through {friction_angle}).",
     reference="Al-Bender, De Moerloose, Characterization and modeling of friction, 2010",
-    confused_with={
-        "gravity": "pass each angle in both directions: gravity keeps its sign, friction turns it"
-    },
+    confused_with={"gravity": "pass each angle in both directions: gravity keeps its sign, friction turns it"},
     screen=Screen("friction_variation", "friction_angle", polar),
     includes=("coulomb_friction",),
 )

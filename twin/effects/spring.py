@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect, Screen
+from twin.effects.parameter import Parameter
 from twin.effects.phases import affine
-from twin.quantities import Parameter
 
 
 def law(q: Any, p: Any) -> Any:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect, Screen
-from twin.quantities import Parameter
-from twin.words import exp
+from twin.effects.math_ops import exp
+from twin.effects.parameter import Parameter
 
 
 def law(q: Any, p: Any) -> Any:
@@ -19,12 +19,8 @@ EFFECT = Effect(
     station="friction",
     slot="grip",
     parameters=(
-        Parameter(
-            "stribeck_friction", "{x}/s^2", "excess of the dry friction at rest, over inertia", 0.0, 0.0
-        ),
-        Parameter(
-            "stribeck_velocity", "{x}/s", "speed at which the excess has fallen to 1/e", None, 1e-4, start=0.3
-        ),
+        Parameter("stribeck_friction", "{x}/s^2", "excess of the dry friction at rest, over inertia", 0.0, 0.0),
+        Parameter("stribeck_velocity", "{x}/s", "speed at which the excess has fallen to 1/e", None, 1e-4, start=0.3),
     ),
     law=law,
     depends_on=("velocity", "direction"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from twin.effects.effect import Effect
-from twin.quantities import Parameter
+from twin.effects.parameter import Parameter
 
 EFFECT = Effect(
     id="tooth_compliance",

@@ -6,7 +6,7 @@ from typing import Any
 
 from twin.effects import waves
 from twin.effects.effect import Effect
-from twin.words import where
+from twin.effects.math_ops import where
 
 HARMONICS = 3
 

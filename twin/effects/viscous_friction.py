@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from twin.effects.effect import Effect
-from twin.quantities import Parameter
+from twin.effects.parameter import Parameter
 
 
 def law(q: Any, p: Any) -> Any:
@@ -18,9 +18,7 @@ EFFECT = Effect(
     station="friction",
     slot="drag",
     parameters=(
-        Parameter(
-            "viscous_friction", "1/s", "viscous friction and back-EMF over inertia (b)", 0.0, 0.0, start=1.0
-        ),
+        Parameter("viscous_friction", "1/s", "viscous friction and back-EMF over inertia (b)", 0.0, 0.0, start=1.0),
     ),
     law=law,
     depends_on=("velocity",),

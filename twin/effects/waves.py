@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from twin.quantities import Parameter
-from twin.words import cos, sin
+from twin.effects.math_ops import cos, sin
+from twin.effects.parameter import Parameter
 
 
 def names(prefix: str, count: int) -> tuple[str, ...]:
@@ -31,9 +31,7 @@ def line(angle: Any, prefix: str, count: int, p: Any) -> Any:
     total = 0.0
     for k in range(1, count + 1):
         total = (
-            total
-            + getattr(p, f"{prefix}_sin_{k}") * sin(k * angle)
-            + getattr(p, f"{prefix}_cos_{k}") * cos(k * angle)
+            total + getattr(p, f"{prefix}_sin_{k}") * sin(k * angle) + getattr(p, f"{prefix}_cos_{k}") * cos(k * angle)
         )
     return total
 

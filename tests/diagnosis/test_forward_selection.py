@@ -1,0 +1,859 @@
+"""The search: what is offered, what a spring is, and what counts as showing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from axis_runs import run, steps
+
+from twin.diagnosis import forward_selection, model_comparison, screening, selection_round
+from twin.diagnosis.plausibility import plausible
+from twin.effects.catalogue import BASE, CANDIDATES
+from twin.estimation import contact_masking, likelihood, local_optima, maximum_likelihood, preparation
+from twin.estimation.likelihood import Point
+from twin.io.recording import Recording
+from twin.model.stepper import Structure
+from twin.simulation import kernel
+
+
+def test_candidates_that_a_linear_axis_has_not_are_not_tried() -> None:
+    structure = Structure.of(["inertia", "viscous_friction"])
+    time = 0.002 * np.arange(3000)
+    duty = 40.0 * np.sign(np.sin(3.0 * time))
+    blank = Recording("sled", time, duty, np.zeros(3000), "%", "m", 1e-5)
+    p = kernel.vector(structure, {"input_gain": 0.02, "viscous_friction": 2.0})
+    read = kernel.predict(likelihood.prepare(blank, structure).drive, p, kernel.start_state(0.0, 0.0, 0.0)).reading
+    sled = Recording("sled", time, duty, 1e-5 * np.round(read / 1e-5), "%", "m", 1e-5)
+    found = forward_selection.find([sled], structure, {}, ("gravity", "encoder_eccentricity"))
+    assert found.rounds == () and found.last.structure == structure
+    assert abs(found.last.values["input_gain"] - 0.02) < 1e-4
+
+
+def test_an_elastic_joint_and_teeth_are_one_spring() -> None:
+    """Where one takes the other's place it is as stiff, within its bounds."""
+    joint = {"joint_frequency": 30.0, "joint_damping": 0.2}
+    base = preparation.with_teeth(Structure.of(BASE))
+    for frequency, teeth in ((38.0, 40.0), (12.0, 40.0), (39.9, 40.0)):
+        found = preparation.completed(base, joint | {"joint_frequency": frequency})
+        assert (found["tooth_frequency"], found["tooth_damping"]) == (teeth, 0.2)
+    known = {"tooth_frequency": 90.0, "tooth_damping": 0.1}
+    assert preparation.completed(base, joint | known)["tooth_frequency"] == 90.0
+    _, hardest_joint = likelihood.bounds_of("joint_frequency")
+    softest_teeth, _ = likelihood.bounds_of("tooth_frequency")
+    assert hardest_joint == softest_teeth
+
+
+def test_what_only_a_long_memory_prefers_does_not_show(monkeypatch) -> None:
+    """A gain that a filter of a shorter memory takes back is that of bounces, not of physics."""
+    case = likelihood.prepare(
+        Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
+    )
+    memory = 0.1
+    density = likelihood.density_of(case, memory)
+    point = likelihood.Point(Structure.of(BASE), {}, density, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    larger = replace(point, values={"gain": 1.0}, deviance=-10.0 * model_comparison.LEAST)
+
+    # A motor that rattles, and meetings of it that are all foreseen.
+    monkeypatch.setattr(model_comparison, "worth", lambda points: selection_round.WHITE)
+    monkeypatch.setattr(contact_masking, "foreseeable", lambda cases, point: cases)
+
+    def judged(better_until: float):
+        def climb(cases, structure, values, density, free, rounds, tolerance):
+            shorter = memory / likelihood.memory_of(case, density)
+            return replace(point, deviance=0.0 if not values else -1.0 if shorter < better_until else 1.0)
+
+        monkeypatch.setattr(likelihood, "climb", climb)
+        return selection_round.shows([case], point, larger)
+
+    assert judged(8.0)
+    assert not judged(3.0) and not judged(1.5)
+
+
+def test_a_slow_torque_has_to_do_no_more_than_a_shorter_memory_leaves_of_it(monkeypatch) -> None:
+    """Where a filter finds innovations white, a sixteenth of what one of twice its memory gave is all that is left."""
+    case = likelihood.prepare(
+        Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
+    )
+    density = likelihood.density_of(case, 0.1)
+    point = likelihood.Point(Structure.of(BASE), {}, density, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    gain = 10.0 * model_comparison.LEAST
+    larger = replace(point, values={"gain": 1.0}, deviance=-gain)
+    monkeypatch.setattr(
+        model_comparison, "worth", lambda points: selection_round.WHITE if points[0].density == density else 1.0
+    )
+    monkeypatch.setattr(contact_masking, "foreseeable", lambda cases, point: cases)
+    for left, shown in ((gain / 15.0, True), (gain / 17.0, False)):
+
+        def climb(cases, structure, values, density, free, rounds, tolerance, left=left):
+            shortest = likelihood.memory_of(case, density) < 0.03
+            better = 1.0 if shortest else -left
+            return replace(point, density=density, deviance=better if values else 0.0)
+
+        monkeypatch.setattr(likelihood, "climb", climb)
+        assert left < model_comparison.LEAST
+        assert selection_round.shows([case], point, larger) is shown
+
+
+@pytest.mark.parametrize(
+    ("before", "left", "shown"),
+    [
+        (40.0, 1.5, True),
+        (40.0, 0.0, True),
+        (40.0, -0.5, False),
+        (64.0, 1.0, False),
+        (20.0, 1.5, False),
+        (40.0, 4.0, True),
+        (64.0, 4.0, True),
+    ],
+)
+def test_a_filter_that_can_know_too_little_vetoes_nothing_that_was_sure(monkeypatch, before, left, shown) -> None:
+    """A sixteenth of 40 is less than a parameter's price, and as likely as not to look like nothing; one of 64 is not,
+    and 20 was not sure at twice the memory.
+    """
+    case = likelihood.prepare(
+        Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
+    )
+    density = likelihood.density_of(case, 0.1)
+    point = likelihood.Point(Structure.of(BASE), {}, density, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    larger = replace(point, values={"gain": 1.0}, free=("gain",), deviance=-16.0 * before)
+
+    def short(at: float) -> bool:
+        return likelihood.memory_of(case, at) < 0.03
+
+    def climb(cases, structure, values, density, free, rounds, tolerance):
+        gained = left if short(density) else before
+        return replace(larger if values else point, density=density, deviance=-gained if values else 0.0)
+
+    monkeypatch.setattr(
+        model_comparison, "worth", lambda points: 1.0 if short(points[0].density) else selection_round.WHITE
+    )
+    monkeypatch.setattr(contact_masking, "foreseeable", lambda cases, point: cases)
+    monkeypatch.setattr(likelihood, "climb", climb)
+    assert selection_round.shows([case], point, larger) is shown
+
+
+@pytest.mark.parametrize(("left", "shown"), [(-1.0, False), (2.0, False), (5.0, True)])
+def test_a_curve_pays_for_its_knots_once(monkeypatch, left, shown) -> None:
+    """A shorter memory, to which a slow torque is a sixteenth, is asked whether it is there, not for twelve prices."""
+    case = likelihood.prepare(
+        Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
+    )
+    density = likelihood.density_of(case, 0.1)
+    point = likelihood.Point(Structure.of(BASE), {}, density, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    knots = tuple(f"knot_{i}" for i in range(12))
+    larger = replace(point, values={"gain": 1.0}, free=knots, deviance=-10.0 * model_comparison.LEAST)
+    monkeypatch.setattr(
+        model_comparison, "worth", lambda points: selection_round.WHITE if points[0].density == density else 1.0
+    )
+    monkeypatch.setattr(model_comparison, "earns", lambda *args: True)
+    monkeypatch.setattr(contact_masking, "foreseeable", lambda cases, point: cases)
+    monkeypatch.setattr(selection_round, "KEPT", 1.0 / 64.0)
+
+    def climb(cases, structure, values, density, free, rounds, tolerance):
+        return replace(larger if values else point, density=density, deviance=-left if values else 0.0)
+
+    monkeypatch.setattr(likelihood, "climb", climb)
+    assert selection_round.shows([case], point, larger) is shown
+
+
+def test_what_a_rough_likelihood_gives_anywhere_is_no_gain(monkeypatch) -> None:
+    """A gain counts for what it is above the changes that next to nothing makes."""
+    structure = Structure.of(["inertia", "viscous_friction", "backlash"])
+    blank = Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4)
+    case = likelihood.prepare(blank, structure)
+    density = likelihood.density_of(case, selection_round.BRIEFEST)
+    before = likelihood.Point(
+        structure, {"backlash_gap": 0.02}, density, ("backlash_gap",), 0.0, 1.0, np.eye(1), np.zeros(1), np.eye(1)
+    )
+    after = replace(before, values={"backlash_gap": 0.03}, deviance=-3.0 * model_comparison.LEAST)
+    monkeypatch.setattr(contact_masking, "foreseeable", lambda cases, point: cases)
+    for jump, shown in ((0.0, True), (1.0, True), (4.0, False)):
+
+        def trembling(cases, structure, trials, density, jump=jump):
+            own = after if trials[0]["backlash_gap"] > 0.025 else before
+            return [own.deviance + jump * model_comparison.LEAST * (-1.0) ** i for i in range(len(trials))]
+
+        monkeypatch.setattr(likelihood, "deviances", trembling)
+        assert selection_round.shows([case], before, after) is shown
+
+
+def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
+    """Each rule at a value that keeps the name and at one that does not; the rest of the model stays as it is."""
+    time = 0.002 * np.arange(5000)
+    turning = Recording("turning", time, np.full(5000, 30.0), 3.0 * np.sin(time), "%", "rad", 1e-4)
+    for effect, name, kept, bent in (
+        ("torque_ripple", "ripple_order", 7.0, 1.0),
+        ("periodic_disturbance", "disturbance_frequency", 1.7, 0.1),
+        ("periodic_disturbance", "disturbance_frequency", 4.0, 8.0),  # 0.16 and 0.04 counts
+        ("spring", "spring_rest", 5.0, 50.0),
+        ("joint_elasticity", "motor_share", 0.3, 0.02),
+        ("joint_elasticity", "motor_share", 0.9, 0.98),
+        ("joint_elasticity", "joint_damping", 0.45, 0.6),
+        ("stribeck_friction", "stribeck_velocity", 0.2, likelihood.bounds_of("stribeck_velocity")[0]),
+        ("stribeck_friction", "stribeck_velocity", 2e-3, 5e-4),  # two counts, and half of one, in a tenth of a second
+        ("motor_lag", "lag_time", 0.0012, 0.0008),  # more and less than half the time between two readings
+        ("input_delay", "delay", 0.0012, 0.0008),
+        ("encoder_eccentricity", "eccentricity", 0.03, 0.5),
+        ("gravity", "gravity_angle", -1.0, -2562.0),
+        ("end_stop", "stop_upper", 2.9, 0.0),
+        ("load_change", "load_time", 5.0, 0.2),
+        ("thermal_fade", "fade", 0.2, -0.2),
+    ):
+        structure = Structure.of([*BASE, effect])
+        cases = [likelihood.prepare(turning, structure)]
+        values = preparation.completed(structure, {"disturbance": 0.01, "fade": 0.1})
+        for value, right in ((kept, True), (bent, False)):
+            point = likelihood.evaluate(cases, structure, {**values, name: value}, 1.0)
+            assert plausible(cases, point) is right, (effect, value)
+
+
+@pytest.mark.parametrize(("speed", "right"), [(0.1, True), (0.02, False)])  # 6.4 counts, and a quarter of one
+def test_friction_that_falls_within_a_count_is_what_bristles_do(speed: float, right: bool) -> None:
+    time = 0.002 * np.arange(5000)
+    turning = Recording("turning", time, np.full(5000, 30.0), 3.0 * np.sin(time), "%", "rad", 3.1e-4)
+    structure = Structure.of([*BASE, "stribeck_friction"])
+    cases = [likelihood.prepare(turning, structure)]
+    friction = {"coulomb_friction": 0.2, "stribeck_friction": 2.3, "stribeck_velocity": speed}
+    values = preparation.completed(structure, friction)
+    assert plausible(cases, likelihood.evaluate(cases, structure, values, 1.0)) is right
+
+
+def test_what_a_first_model_has_and_the_rig_has_not_speaks_against_nothing_that_is_added() -> None:
+    time = 0.002 * np.arange(5000)
+    turning = Recording("turning", time, np.full(5000, 30.0), 3.0 * np.sin(time), "%", "rad", 1e-4)
+    first = Structure.of([*BASE, "input_delay"])
+    cases = [likelihood.prepare(turning, first)]
+
+    def at(structure: Structure, **values: float) -> Point:
+        return likelihood.evaluate(cases, structure, preparation.completed(structure, {"delay": 2e-4, **values}), 1.0)
+
+    for rest, right in ((1.0, True), (50.0, False)):
+        longer = at(first.with_("spring"), spring_rest=rest)
+        assert plausible(cases, longer, at(first)) is right and not plausible(cases, longer)
+        # A delay that the addition has eaten up was one before.
+        assert not plausible(cases, longer, at(first, delay=0.01))
+
+
+def test_a_spring_that_is_bent_into_a_constant_is_no_rival_to_one() -> None:
+    """It fits as well with its rest far outside the travel, and would halve the probability of what is there."""
+    rng = np.random.default_rng(6)
+    plain = Structure.of(["inertia", "viscous_friction", "dead_band"])
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
+    time, count = 0.002 * np.arange(6000), 2.0 * np.pi / 16384.0
+    duty = np.where(time % 1.0 < 0.5, steps(rng, len(time), 500, 40.0), 0.0)
+    shaken = duty + 0.05 * rng.standard_normal(len(time))
+    for planted in ({"offset": 0.3}, {"spring_stiffness": 0.3, "spring_rest": 0.5}):
+        there = plain.with_("constant_offset" if "offset" in planted else "spring")
+        y, _ = run(there, values | planted, time, shaken)
+        recording = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
+        cases = [likelihood.prepare(recording, plain)]
+        before = local_optima.settle(cases, plain, values, {}, likelihood.density_of(cases[0], 0.1))
+        found = selection_round.compete(cases, before, [], ("constant_offset", "spring"), {})
+        assert found.won and found.rivals[0].added == there.named[-1:]
+        assert (("spring",) in [h.added for h in found.rivals]) is ("offset" not in planted)
+
+
+def test_where_a_recording_begins_is_no_stop() -> None:
+    time = 0.002 * np.arange(2500)
+    rising = Recording("rising", time, np.full(2500, 30.0), 3.0 * (1.0 - np.cos(time)), "%", "rad", 1e-4)
+    structure = Structure.of([*BASE, "end_stop"])
+    cases = [likelihood.prepare(rising, structure)]
+    values = preparation.completed(structure, {})
+    for name, value, right in (
+        ("stop_upper", 5.99, True), ("stop_lower", 0.001, False), ("stop_lower", -1.0, True), ("stop_upper", 7.0, True),
+    ):  # fmt: skip
+        point = likelihood.evaluate(cases, structure, {**values, name: value}, 1.0)
+        assert plausible(cases, point) is right, (name, value)
+    # What is met at the other end is none the less for it.
+    point = likelihood.evaluate(cases, structure, {**values, "stop_lower": 0.001, "stop_upper": 5.99}, 1.0)
+    assert plausible(cases, point)
+
+
+@pytest.mark.parametrize("lower", [-1e3, -0.3])
+def test_a_stop_that_nothing_met_is_nowhere(lower: float) -> None:
+    """At the furthest reading it would do nothing, either, but the next recording may go further."""
+    rng = np.random.default_rng(12)
+    stopped = Structure.of(["inertia", "viscous_friction", "dead_band", "end_stop"])
+    values = {
+        "input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0,
+        "stop_stiffness": 8e3, "stop_damping": 30.0, "stop_hysteresis": 0.0, "stop_upper": 0.3, "stop_lower": lower,
+    }  # fmt: skip
+    time, count = 0.002 * np.arange(6000), 2.0 * np.pi / 16384.0
+    duty = steps(rng, len(time), 400, 25.0)
+    y, _ = run(stopped, values, time, duty + 0.05 * rng.standard_normal(len(time)))
+    made = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
+    cases = [likelihood.prepare(made, stopped)]
+    begun = {**values, "stop_lower": max(lower, float(y.min()) + count)}
+    last = local_optima.settle(cases, stopped, begun, {}, likelihood.density_of(cases[0], 0.1))
+    found = forward_selection._unmet(cases, last)
+    assert y.max() > 0.3 and (lower == -1e3 or y.min() < lower)
+    assert found.values["stop_upper"] == pytest.approx(0.3, abs=2e-3)
+    assert found.values["stop_lower"] == pytest.approx(lower, abs=2e-3)
+    assert maximum_likelihood.to_model(cases, found, [made], {}).says("end_stop").count("none met") == (lower == -1e3)
+
+
+def test_friction_that_acts_only_where_the_way_ends_is_a_stop() -> None:
+    time = 0.002 * np.arange(2500)
+    rising = Recording("rising", time, np.full(2500, 30.0), 1.5 * (1.0 - np.cos(time)), "%", "rad", 1e-4)
+    structure = Structure.of([*BASE, "position_dependent_friction"])
+    cases = [likelihood.prepare(rising, structure)]
+    values = {**preparation.completed(structure, {}), "coulomb_friction": 0.0, "friction_variation": 2.0}
+    for angle, coulomb, right in ((0.0, 0.0, True), (-3.1, 0.0, False), (-3.1, 1.9, True)):
+        tried = {**values, "friction_angle": angle, "coulomb_friction": coulomb}
+        assert plausible(cases, likelihood.evaluate(cases, structure, tried, 1.0)) is right, (angle, coulomb)
+
+
+def test_a_weak_torque_shows_although_a_filter_that_forgets_fast_does_not_see_it() -> None:
+    """Nothing rattles here, so that what a long memory says needs no second opinion."""
+    rng = np.random.default_rng(21)
+    plain = Structure.of(["inertia", "viscous_friction", "dead_band"])
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
+    weak = {"spring_stiffness": 2e-4, "spring_rest": 0.5}
+    time, count = 0.002 * np.arange(15000), 2.0 * np.pi / 16384.0
+    duty = steps(rng, len(time), 300, 40.0)
+    shaken = duty + 0.01 * rng.standard_normal(len(time))
+    y, _ = run(plain.with_("spring"), values | weak, time, shaken)
+    recording = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
+    cases = [likelihood.prepare(recording, plain)]
+    density = likelihood.density_of(cases[0], 0.1)
+    before = local_optima.settle(cases, plain, values, {}, density)
+    after = local_optima.settle(cases, plain.with_("spring"), {**before.values, **weak}, {}, density)
+    assert model_comparison.worth([before, after]) < selection_round.WHITE
+    smaller, larger = selection_round._adapted(cases, before, after, likelihood.density_of(cases[0], 0.025))
+    assert not model_comparison.ahead(larger, smaller) > 0.0
+    assert selection_round.shows(cases, before, after)
+
+
+def test_a_model_learns_nothing_from_one_that_is_no_longer_what_its_names_say() -> None:
+    """A load that changed before the recording is another gain, and leaves no number its own size."""
+    recording = Recording("made", 0.002 * np.arange(5000), np.zeros(5000), np.zeros(5000), "%", "rad", 1e-3)
+    structure, nothing = Structure.of(BASE).with_("load_change"), np.eye(0)
+    cases = [likelihood.prepare(recording, structure)]
+
+    def at(moment: float, deviance: float) -> likelihood.Point:
+        values = preparation.completed(structure, {"load_time": moment, "load_added": 0.5})
+        return likelihood.Point(structure, values, 1.0, (), deviance, 1.0, nothing, np.zeros(0), nothing)
+
+    here, bent, learned = at(5.0, 0.0), at(-3.0, -900.0), at(6.0, -20.0)
+    assert selection_round._better(cases, here, [bent, learned]) is learned
+    assert selection_round._better(cases, here, [bent]) is here
+    assert selection_round._better(cases, bent, [at(-4.0, -950.0)]) is not bent  # it was none before, either
+    less = replace(bent, structure=Structure.of(BASE), values={}, deviance=1e6)
+    assert forward_selection._fair(cases, here, [bent, less], less) is here
+
+
+def test_what_the_first_model_has_stays_where_what_contains_it_goes() -> None:
+    first = Structure.of([*BASE, "coulomb_friction"])
+    smaller = forward_selection._smaller(first.with_("stribeck_friction"), first)
+    assert [s.ids for s in smaller] == [first.ids]
+    alone = forward_selection._smaller(first.with_("stribeck_friction"), Structure.of(BASE))
+    assert {s.named for s in alone} == {("coulomb_friction",), ()}
+
+
+def test_what_a_law_misses_of_its_own_effect_is_no_other_effect() -> None:
+    """Beside an effect that does much, another has to do more than one that is there alone."""
+    nothing = np.eye(0)
+    begun = likelihood.Point(Structure.of(BASE), {}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing)
+    for much, needed in ((-100.0 * model_comparison.LEAST, 1.5), (-800.0 * model_comparison.LEAST, 3.5)):
+        less = replace(begun, deviance=much)
+        enough, scant = (
+            replace(begun, deviance=much - times * model_comparison.LEAST) for times in (needed, needed - 0.5)
+        )
+        assert forward_selection._fair([], enough, [less, begun], begun) is enough
+        assert forward_selection._fair([], scant, [less, begun], begun) is less
+
+
+def test_a_larger_model_is_never_behind_the_smaller_one_that_it_contains(monkeypatch) -> None:
+    """Where what is added does harm to the other filter, it is looked for from nothing, too."""
+    base, nothing = Structure.of(BASE), np.eye(0)
+    before = likelihood.Point(base, {"input_gain": 0.3}, 1.0, (), 0.0, 1.0, nothing, [], nothing)
+    after = replace(before, structure=base.with_("gravity"), values={"input_gain": 0.4, "gravity_gain": 2.0})
+
+    def climbed(cases, structure, values, density, free, rounds, tolerance):
+        deviance = 100.0 * abs(values["input_gain"] - 0.3) + values.get("gravity_gain", 0.0)
+        return replace(before, structure=structure, values=values, deviance=deviance)
+
+    monkeypatch.setattr(likelihood, "climb", climbed)
+    smaller, larger = selection_round._adapted((), before, after, 1.0)
+    assert larger.structure == after.structure
+    assert larger.deviance == smaller.deviance == 0.0
+
+
+def test_a_rival_stands_where_another_does_with_its_own_effect(monkeypatch) -> None:
+    """What both share is taken over; what each has alone is its own, and nothing of the other's comes along."""
+    base, nothing = Structure.of(BASE), np.eye(0)
+    plain = likelihood.Point(base, {"input_gain": 0.3, "backlash_gap": 0.02}, 1.0, (), 0.0, 1.0, nothing, [], nothing)
+    one = replace(plain, structure=base.with_("motor_lag"), values={**plain.values, "lag_time": 0.01})
+    other = replace(plain, structure=base.with_("input_delay"), values={"input_gain": 0.4, "delay": 0.02})
+
+    def settled(cases, structure, values, held, density):
+        return replace(one, structure=structure, values=values)
+
+    monkeypatch.setattr(local_optima, "settle", settled)
+    moved = selection_round._in_place_of(
+        (),
+        selection_round.Hypothesis(("motor_lag",), one),
+        selection_round.Hypothesis(("input_delay",), other),
+        base,
+        {},
+    )
+    assert moved.added == ("motor_lag",) and moved.point.structure == one.structure
+    assert moved.point.values == {"input_gain": 0.4, "backlash_gap": 0.02, "lag_time": 0.01}
+
+
+@pytest.mark.parametrize("coasting", [False, True])
+def test_dry_friction_may_be_one_sided_where_nothing_ever_coasts(coasting: bool) -> None:
+    """A dead-band that is wider on one side does the same while the drive pushes; coasting tells them apart."""
+    rng = np.random.default_rng(4)
+    plain = Structure.of(["inertia", "viscous_friction", "dead_band", "coulomb_friction"])
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0,
+              "coulomb_friction": 0.8}  # fmt: skip
+    time, count = 0.002 * np.arange(6000), 2.0 * np.pi / 16384.0
+    pushed = np.where(time // 0.7 % 2.0 < 1.0, 1.0, -1.0) * np.where(time // 2.8 % 2.0 < 1.0, 20.0, 35.0)
+    duty = np.where(time % 0.7 < 0.35, pushed, 0.0) if coasting else pushed
+    y, _ = run(plain, values, time, duty + 0.05 * rng.standard_normal(len(time)) * (duty != 0.0))
+    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
+    last = local_optima.settle(cases, plain, values, {}, likelihood.density_of(cases[0], 0.05))
+    first = plain.without("coulomb_friction")
+    wider = forward_selection._wider(cases, last, first, CANDIDATES, {})
+    rivals = {w.rival: w for w in wider}
+    assert ("friction_asymmetry" in rivals) is not coasting
+    if not coasting:
+        found = rivals["friction_asymmetry"]
+        assert abs(found.point.values["friction_asymmetry"]) == last.values["coulomb_friction"]
+        assert model_comparison.ahead(last, found.point) < 1.0
+        # What is as good with a parameter more is not named for that.
+        assert forward_selection._widened(cases, last, [], wider, {}) == (last, wider)
+        # Neither what was not asked for nor what the first model knows comes into question.
+        assert forward_selection._wider(cases, last, first, ("spring",), {}) == []
+        assert forward_selection._wider(cases, last, plain, CANDIDATES, {}) == []
+
+
+@pytest.mark.parametrize("asymmetry", [0.0, 0.1])
+def test_what_did_more_than_the_effect_that_it_contains_is_tried_at_its_own_size(asymmetry: float) -> None:
+    """In a round of its own; the last model may have the plain effect, which everything else then competed beside."""
+    rng = np.random.default_rng(4)
+    plain = Structure.of(["inertia", "viscous_friction", "dead_band", "coulomb_friction"])
+    longer = plain.with_("friction_asymmetry")
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0,
+              "coulomb_friction": 0.8, "friction_asymmetry": asymmetry}  # fmt: skip
+    time, count = 0.002 * np.arange(6000), 2.0 * np.pi / 16384.0
+    duty = np.where(time % 0.7 < 0.35, np.where(time // 0.7 % 2.0 < 1.0, 30.0, -30.0), 0.0)
+    y, _ = run(longer, values, time, duty + 0.05 * rng.standard_normal(len(time)) * (duty != 0.0))
+    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), longer)]
+    density = likelihood.density_of(cases[0], 0.05)
+    first, without, more = (
+        local_optima.settle(cases, s, values, {}, density) for s in (plain.without("coulomb_friction"), plain, longer)
+    )
+    rivals = [
+        selection_round.Hypothesis(("friction_asymmetry",), more),
+        selection_round.Hypothesis(("coulomb_friction",), without),
+    ]
+    rounds = [selection_round.Round(first, tuple(rivals), 1.0)]
+    assert bool(forward_selection._overtook(rounds, "coulomb_friction", "friction_asymmetry")) == bool(asymmetry)
+    assert forward_selection._overtook(rounds, "coulomb_friction", "stribeck_friction") == []
+    wider = forward_selection._wider(cases, without, first.structure, ["friction_asymmetry"], {}, rounds)
+    best, kept = forward_selection._widened(cases, without, [], wider, {})
+    if asymmetry:
+        assert best.values["friction_asymmetry"] == pytest.approx(asymmetry, rel=0.05)
+        assert [(w.effect, w.rival) for w in kept] == [("friction_asymmetry", "coulomb_friction")]
+        assert forward_selection._wider(cases, without, first.structure, ["friction_asymmetry"], {}) == []
+    else:
+        assert best is without
+
+
+def test_what_could_stand_for_an_effect_goes_with_it_where_a_larger_one_takes_its_place(monkeypatch) -> None:
+    base, nothing = Structure.of(BASE), np.eye(0)
+    last = likelihood.Point(
+        base.with_("coulomb_friction", "gravity"), {}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing
+    )
+    larger = replace(last, structure=last.structure.with_("friction_asymmetry"), deviance=-20.0)
+    monkeypatch.setattr(local_optima, "settle", lambda cases, structure, values, held, density: larger)
+    swaps = [
+        forward_selection.Swap("coulomb_friction", "load_dependent_friction", last),
+        forward_selection.Swap("gravity", "spring", last),
+    ]
+    wider = [forward_selection.Swap("coulomb_friction", "friction_asymmetry", larger)]
+    best, kept = forward_selection._widened((), last, swaps, wider, {})
+    assert best is larger
+    assert [(w.effect, w.rival) for w in kept] == [("gravity", "spring"), ("friction_asymmetry", "coulomb_friction")]
+    assert {w.effect for w in kept} <= set(best.structure.named)
+
+
+def test_what_did_not_last_is_followed_by_another_look(monkeypatch) -> None:
+    """The first round's winner may have kept out what is there: once it is pruned, the others are asked again."""
+    nothing = np.eye(0)
+    base = likelihood.Point(Structure.of(BASE), {}, 1.0, (), 3000.0, 1.0, nothing, np.zeros(0), nothing)
+    wave, push = (replace(base, structure=base.structure.with_(e)) for e in ("gravity", "constant_offset"))
+    grown, asked = iter([wave, push]), []
+
+    def grow(cases, best, candidates, held, tell, most):
+        asked.append(best)
+        return next(grown), []
+
+    monkeypatch.setattr(forward_selection.ascent, "start", lambda recordings, first, held: ([], [base]))
+    monkeypatch.setattr(forward_selection.ascent, "refine", lambda cases, structure, begun, held: base)
+    monkeypatch.setattr(forward_selection.ascent, "polish", lambda cases, point: ([], point))
+    monkeypatch.setattr(local_optima, "judged", lambda cases, point: 1.0)
+    monkeypatch.setattr(local_optima, "settle", lambda cases, structure, values, held, density: base)
+    monkeypatch.setattr(forward_selection.screening, "offered", lambda cases, candidates: candidates)
+    monkeypatch.setattr(forward_selection, "_grown", grow)
+    monkeypatch.setattr(
+        forward_selection, "_pruned", lambda cases, best, begun, held: (base if best is wave else best, [base])
+    )
+    monkeypatch.setattr(forward_selection, "closer", lambda found, held, candidates: found)
+    found = forward_selection.find([], base.structure, {})
+    assert asked == [base, base]
+    assert found.last is push
+
+
+def test_a_delay_is_judged_where_a_few_steps_from_its_start_lead() -> None:
+    """Beside its valley a delay looks worse than none; what it promises is what it has once it is inside."""
+    rng = np.random.default_rng(8)
+    plain = Structure.of(["inertia", "viscous_friction", "dead_band"])
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
+    time, count = 0.002 * np.arange(4000), 2.0 * np.pi / 16384.0
+    duty = steps(rng, len(time), 150, 40.0)
+    y, _ = run(plain.with_("input_delay"), values | {"delay": 0.001}, time, duty)
+    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
+    base = local_optima.settle(cases, plain, values, {}, likelihood.density_of(cases[0], 0.1))
+    trials = [{"delay": t} for t in (0.006, 0.015)]
+    longer = plain.with_("input_delay")
+    begun = min(likelihood.evaluate(cases, longer, {**base.values, **t}, base.density).deviance for t in trials)
+    free = (*base.free, "delay")
+    promise, found = screening._direct_start(cases, cases, base, "input_delay", trials, free)
+    assert begun > base.deviance
+    assert found["delay"] == pytest.approx(0.001, abs=2e-4)
+    assert promise > 0.9 * (base.deviance - local_optima.settle(cases, longer, found, {}, base.density).deviance)
+
+
+def fitted(deviance: float, *effects: str, unit: float = 1.0) -> likelihood.Point:
+    """A point that nothing was fitted for; a unit of its deviance is worth so little."""
+    structure, normal, scatter = Structure.of([*BASE, *effects]), np.eye(1), np.eye(1) * unit
+    return likelihood.Point(
+        structure, {"input_gain": 0.3}, 1.0, ("input_gain",), deviance, 1.0, normal, np.zeros(1), scatter
+    )
+
+
+def hypothesis(deviance: float, *effects: str, unit: float = 1.0) -> selection_round.Hypothesis:
+    return selection_round.Hypothesis(effects[-1:], fitted(deviance, *effects, unit=unit))
+
+
+@pytest.mark.parametrize("deviance", [-9000.0, -5000.0])
+def test_the_search_begins_anew_with_what_had_earned_as_much_by_itself(monkeypatch, deviance: float) -> None:
+    """What says the same again and again does more for the deviance than what is there, and leads astray."""
+    first = fitted(0.0, unit=100.0)
+    joint, delay, lag = (
+        hypothesis(-6000.0, "joint_elasticity", unit=100.0),
+        hypothesis(-3000.0, "input_delay", unit=20.0),
+        hypothesis(-4000.0, "motor_lag", unit=100.0),
+    )
+    this = selection_round.Round(first, (joint, delay, lag), 100.0)
+    ends = {"joint_elasticity": joint.point, "input_delay": fitted(deviance, "motor_lag", "input_delay", unit=20.0)}
+    begun = []
+
+    def climbed(cases, best, rounds, structure, candidates, held, tell):
+        begun.append([r.rivals[0].added[0] for r in rounds])
+        return forward_selection.Search(
+            first, ends[begun[-1][0] if rounds else "joint_elasticity"], tuple(rounds) or (this,), ()
+        )
+
+    monkeypatch.setattr(forward_selection.ascent, "start", lambda recordings, first, held: ([], [first]))
+    monkeypatch.setattr(forward_selection.ascent, "refine", lambda cases, structure, begun, held: first)
+    monkeypatch.setattr(forward_selection.ascent, "polish", lambda cases, point: ([], point))
+    monkeypatch.setattr(forward_selection.meetings, "judged_throughout", lambda cases: cases)
+    monkeypatch.setattr(local_optima, "judged", lambda cases, point: 1.0)
+    monkeypatch.setattr(local_optima, "settle", lambda cases, structure, values, held, density: first)
+    monkeypatch.setattr(forward_selection.screening, "offered", lambda cases, candidates: candidates)
+    monkeypatch.setattr(selection_round, "shows", lambda cases, before, after: True)
+    monkeypatch.setattr(forward_selection, "_climbed", climbed)
+    monkeypatch.setattr(forward_selection, "_levelled", lambda cases, best, candidates: [])
+    monkeypatch.setattr(forward_selection, "_wider", lambda cases, best, first, candidates, held, rounds: [])
+    monkeypatch.setattr(forward_selection, "closer", lambda found, held, candidates: found)
+    found = forward_selection.find([], first.structure, {})
+    assert begun == [[], ["input_delay"]]
+    assert found.last is ends["input_delay" if deviance < -6000.0 else "joint_elasticity"]
+
+
+def test_what_the_search_begins_anew_with_shows_by_itself_and_had_not_been_refused(monkeypatch) -> None:
+    first, unit = fitted(0.0, unit=100.0), 20.0
+    joint, delay = hypothesis(-6000.0, "joint_elasticity", unit=100.0), hypothesis(-3000.0, "input_delay", unit=unit)
+    slow = hypothesis(-2500.0, "gravity", unit=unit)
+    this = selection_round.Round(first, (joint, delay, slow), 100.0)
+    found = forward_selection.Search(first, joint.point, (this,), ())
+    shown = {"input_delay", "gravity"}
+    monkeypatch.setattr(selection_round, "shows", lambda cases, before, after: bool({*after.structure.named} & shown))
+
+    def begun(this: selection_round.Round, density: float = 1.0) -> list[str]:
+        rounds = forward_selection._seconds((), replace(found, rounds=(this,)), density)
+        return [r.rivals[0].added[0] for r in rounds]
+
+    assert begun(this) == ["input_delay", "gravity"]
+    assert begun(replace(this, refused=frozenset({"input_delay"}))) == ["gravity"]
+    assert begun(this, density=2.0) == []
+    assert begun(replace(this, won=False)) == []
+    # A winner on credit has beaten nobody.
+    assert begun(replace(this, rivals=(hypothesis(-1000.0, "joint_elasticity", unit=100.0), delay, slow))) == []
+    wider = hypothesis(-9000.0, "coulomb_friction", "stribeck_friction", unit=unit)
+    dry = hypothesis(-6000.0, "coulomb_friction", unit=unit)
+    assert begun(replace(this, rivals=(dry, wider, slow))) == []
+    shown.remove("input_delay")
+    assert begun(this) == ["gravity"]
+    # Who had won the round is a rival of what the search begins anew with.
+    (anew,) = forward_selection._seconds((), replace(found, rounds=(this,)), 1.0)
+    contest = forward_selection.contest_of([anew], slow.point.structure, "gravity")
+    assert [h.added[0] for h, _ in contest.rivals] == ["joint_elasticity", "input_delay"]
+
+
+@pytest.mark.parametrize("deviance", [-9000.0, -5000.0])
+def test_the_end_that_lost_by_one_effect_could_stand_in_its_place(deviance: float) -> None:
+    one, other = fitted(-6000.0, "gravity", "spring"), fitted(deviance, "gravity", "load_change")
+    searches = [forward_selection.Search(fitted(0.0), end, (), ()) for end in (one, other)]
+    found = forward_selection._likelier((), *searches, {})
+    best, lost, effect, rival = (one, other, "spring", "load_change")
+    if deviance < -6000.0:
+        best, lost, effect, rival = other, one, rival, effect
+    assert found.last is best
+    assert [(w.effect, w.rival) for w in found.swaps] == [(effect, rival)] and found.swaps[0].point is lost
+    # What is told already is not told twice, and ends that differ by more stand for no single effect.
+    again = [replace(s, swaps=(forward_selection.Swap(effect, rival, lost),)) for s in searches]
+    assert len(forward_selection._likelier((), *again, {}).swaps) == 1
+    longer = replace(searches[1], last=fitted(0.0, "gravity", "load_change", "motor_lag"))
+    assert forward_selection._likelier((), searches[0], longer, {}) is searches[0]
+
+
+def test_a_lost_round_is_looked_at_with_a_filter_that_remembers_longer_than_the_model_is_right(monkeypatch) -> None:
+    recording = Recording("none", 0.002 * np.arange(500), np.zeros(500), np.zeros(500), "%", "rad", 1e-4)
+    cases = [likelihood.prepare(recording, Structure.of(BASE))]
+    short, long = (likelihood.density_of(cases[0], memory) for memory in (local_optima.MEMORY, selection_round.LONG))
+    before, asked = replace(fitted(0.0), density=short), {"density": 4.0 * short}
+    lost = selection_round.Round(before, (hypothesis(-10.0, "spring"),), 1.0, False)
+    plain, seen = hypothesis(-2.0 * selection_round.PLAIN, "spring"), []
+
+    def contest(cases, base, candidates):
+        assert base.density == long and set(candidates) == set(selection_round.SLOW)
+        return seen
+
+    def compete(cases, base, known, candidates, held):
+        assert list(known) == seen and set(candidates) == set(selection_round.SLOW)
+        return selection_round.Round(base, tuple(known), 1.0, True)
+
+    monkeypatch.setattr(local_optima, "settle", lambda *given: replace(before, density=given[-1]))
+    monkeypatch.setattr(likelihood, "best_density", lambda cases, structure, values, around: asked["density"])
+    monkeypatch.setattr(selection_round, "contest", contest)
+    monkeypatch.setattr(selection_round, "compete", compete)
+    seen[:] = [plain]
+    found = selection_round.slower(cases, lost, CANDIDATES, {})
+    assert found.won and found.rivals == (plain,) and found.before.density == long
+    # What any filter with so long a memory may see by chance is nothing.
+    seen[:] = [hypothesis(-0.8 * selection_round.PLAIN, "spring")]
+    assert selection_round.slower(cases, lost, CANDIDATES, {}) is lost
+    # A round that is won, no slow torque on offer, a memory as long, a model that is right for longer: nothing to ask.
+    monkeypatch.setattr(selection_round, "contest", None)
+    won, longest = replace(lost, won=True), replace(lost, before=replace(before, density=long))
+    assert selection_round.slower(cases, won, CANDIDATES, {}) is won
+    assert selection_round.slower(cases, lost, ("torque_ripple",), {}) is lost
+    assert selection_round.slower(cases, longest, CANDIDATES, {}) is longest
+    asked["density"] = 0.9 * short
+    assert selection_round.slower(cases, lost, CANDIDATES, {}) is lost
+
+
+@pytest.mark.parametrize(("alone", "again"), [(-100.0, True), (-9000.0, False)])
+def test_what_is_far_behind_the_one_that_it_is_taken_for_is_tried_in_its_place(monkeypatch, alone, again) -> None:
+    """Not so what is near it already, and what nobody takes for it."""
+    seen = [hypothesis(-9500.0, "gravity"), hypothesis(alone, "constant_offset"), hypothesis(-90.0, "motor_lag")]
+    asked = []
+
+    def instead(cases, winner, structure, effect, held):
+        asked.append((winner.added, effect))
+        return hypothesis(-9990.0, effect)
+
+    monkeypatch.setattr(selection_round, "contest", lambda *rest: seen)
+    monkeypatch.setattr(selection_round, "_following", lambda *rest: [])
+    monkeypatch.setattr(selection_round, "_freed", lambda *rest: [])
+    monkeypatch.setattr(selection_round, "_finished", lambda cases, found, *rest: list(found))
+    monkeypatch.setattr(selection_round, "_instead", instead)
+    monkeypatch.setattr(selection_round, "plausible", lambda *rest: True)
+    monkeypatch.setattr(local_optima, "settle", lambda *rest: fitted(0.0))
+    monkeypatch.setattr(local_optima, "deepen", lambda cases, point, held: point)
+    monkeypatch.setattr(selection_round, "_on_the_other_side", lambda *rest: [])
+    monkeypatch.setattr(
+        selection_round, "_judged", lambda cases, before, found, held: selection_round.Round(before, tuple(found), 1.0)
+    )
+    found = selection_round.compete((), fitted(0.0), (), ("gravity", "constant_offset", "motor_lag"), {})
+    assert asked == ([(("gravity",), "constant_offset")] if again else [])
+    best = {h.added[0]: h.deviance for h in found.rivals}
+    assert best == {"gravity": -9500.0, "constant_offset": -9990.0 if again else alone, "motor_lag": -90.0}
+
+
+@pytest.mark.parametrize("stiffness", [3e-4, 0.0])
+def test_a_slow_torque_is_found_beside_a_fast_one_that_nobody_looks_for(monkeypatch, stiffness: float) -> None:
+    """A shaking that is no candidate drowns within a tenth of a second what a weak spring does."""
+    rng, count = np.random.default_rng(21), 2.0 * np.pi / 16384.0
+    plain = Structure.of(["inertia", "viscous_friction", "dead_band"])
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
+    there = {"disturbance": 4.0, "disturbance_frequency": 15.0, "disturbance_phase": 0.3}
+    there |= {"spring_stiffness": stiffness, "spring_rest": 0.5}
+    time = 0.002 * np.arange(15000)
+    duty = steps(rng, len(time), 300, 40.0)
+    y, _ = run(plain.with_("spring", "periodic_disturbance"), values | there, time, duty)
+    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
+    before = local_optima.settle(cases, plain, values, {}, likelihood.density_of(cases[0], local_optima.MEMORY))
+    candidates = ("spring", "thermal_fade")
+    lost = selection_round.compete(cases, before, (), candidates, {})
+    assert not lost.won
+    # As if something faster still kept the filter that a recording asks for short.
+    monkeypatch.setattr(likelihood, "best_density", lambda cases, structure, values, around: 2.0 * around)
+    found = selection_round.slower(cases, lost, candidates, {})
+    if stiffness == 0.0:
+        assert found is lost
+    else:
+        assert found.won and found.rivals[0].added == ("spring",)
+        assert found.rivals[0].point.values["spring_stiffness"] == pytest.approx(stiffness, rel=0.1)
+
+
+@pytest.mark.parametrize(("alone", "late", "effects"), [(0, 0, 0), (2, 0, 2), (2, 1, 3), (6, 0, 4), (6, 1, 4)])
+def test_no_more_effects_than_that_are_looked_for(monkeypatch, alone: int, late: int, effects: int) -> None:
+    """So many earn a place, and one more after a lost round, with a filter over whose memory nothing else competes."""
+    names = ("spring", "motor_lag", "gravity", "input_delay", "supply_sag", "thermal_fade")
+    points = [fitted(-100.0 * n, *names[:n]) for n in range(len(names) + 1)]
+
+    def following(before: likelihood.Point, won: bool) -> selection_round.Round:
+        n = len(before.structure.named)
+        return selection_round.Round(before, (selection_round.Hypothesis((names[n],), points[n + 1]),), 1.0, won)
+
+    def compete(cases, before, known, candidates, held):
+        return following(before, len(before.structure.named) < alone)
+
+    def slower(cases, this, candidates, held):
+        return following(this.before, True) if late and not this.won else this
+
+    monkeypatch.setattr(selection_round, "compete", compete)
+    monkeypatch.setattr(selection_round, "slower", slower)
+    monkeypatch.setattr(local_optima, "rejudged", lambda cases, point, held: point)
+    monkeypatch.setattr(local_optima, "relocated", lambda cases, point, held: point)
+    monkeypatch.setattr(forward_selection, "_plainer", lambda cases, this, held: this.rivals[0].point)
+    monkeypatch.setattr(forward_selection, "plausible", lambda cases, point, before: True)
+    best, rounds = forward_selection._grown((), points[0], names, {}, lambda sentence, share: None)
+    assert len(best.structure.named) == effects == sum(r.won for r in rounds) <= forward_selection.MOST
+
+
+@pytest.mark.parametrize("friction", [2.0, 0.0])
+def test_of_two_effects_that_hide_each_other_one_is_taken_on_credit(friction: float) -> None:
+    """And none where a shaking that is no candidate hides it, so that there is no other one beside it to find."""
+    count, time = 2.0 * np.pi / 8192.0, 0.002 * np.arange(7000)
+    plain = Structure.of(["inertia", "viscous_friction", "dead_band"])
+    values = {"input_gain": 0.22, "viscous_friction": 1.2, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
+    there = {"gravity_gain": 2.0, "gravity_angle": 0.4, "coulomb_friction": friction}
+    shaken = {"disturbance": 0.0 if friction else 4.0, "disturbance_frequency": 0.85, "disturbance_phase": 0.3}
+    rise = np.geomspace(0.1, 8.0, len(time) // 2)
+    duty = 60.0 * np.sin(2.0 * np.pi * 0.002 * np.cumsum(np.concatenate([rise, rise[::-1]])))
+    full = plain.with_("gravity", "coulomb_friction", "periodic_disturbance")
+    y, _ = run(full, values | there | shaken, time, duty)
+    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
+    before = local_optima.settle(cases, plain, values, {}, likelihood.density_of(cases[0], local_optima.MEMORY))
+    gravity = selection_round.contest(cases, before, ["gravity"])[0]
+    assert not model_comparison.earns(before, gravity.point)
+    # As if its gain were just what it must be to be looked behind.
+    just = (before.deviance - gravity.deviance) / model_comparison.LEAST
+    lost = selection_round.Round(before, (gravity,), 0.99 * just, won=False)
+    found = selection_round._on_credit(cases, lost, ("gravity", "coulomb_friction"), {})
+    assert found.won is bool(friction) and found.rivals == lost.rivals
+    if friction:
+        after = selection_round.compete(cases, found.rivals[0].point, (), ("coulomb_friction",), {})
+        best = after.rivals[0].point.values
+        assert after.won and best["coulomb_friction"] == pytest.approx(friction, rel=0.01)
+        assert best["gravity_gain"] == pytest.approx(2.0, rel=0.01)
+    # What gained less is not looked behind.
+    assert not selection_round._on_credit(cases, replace(lost, unit=1.01 * just), CANDIDATES, {}).won
+
+
+def test_what_gains_much_with_a_rattling_motor_is_tried_with_the_smaller_model_s(monkeypatch) -> None:
+    """The place that earns most is taken, not the likeliest: of what a rattle likes nobody can be sure."""
+    before = fitted(0.0, "periodic_disturbance")
+    smaller = replace(before, values={"input_gain": 0.3, "motor_share": 0.4})
+    wild = fitted(-1e4, "periodic_disturbance", "gravity", unit=1e3)
+    wild = replace(wild, values={"input_gain": 0.5, "motor_share": 0.02})
+    asked = []
+
+    def settle(cases, structure, values, held, density):
+        asked.append(values)
+        return fitted(-9e3, "periodic_disturbance", "gravity", unit=10.0)
+
+    monkeypatch.setattr(local_optima, "settle", settle)
+    monkeypatch.setattr(local_optima, "relocated", lambda cases, point, held: point)
+    sounder = selection_round._sounder((), smaller, wild, {})
+    assert asked == [{"input_gain": 0.5, "motor_share": 0.4}] and sounder.deviance == -9e3
+    monkeypatch.setattr(
+        local_optima, "settle", lambda *given: fitted(-9e3, "periodic_disturbance", "gravity", unit=1e4)
+    )
+    assert selection_round._sounder((), smaller, wild, {}) is wild
+
+
+@pytest.mark.parametrize("gain", [0.9, 0.09])
+def test_what_would_earn_by_its_own_unit_is_tried_in_a_sounder_place_too(monkeypatch, gain: float) -> None:
+    """The round's unit is that of the best, and may be ten times another's; what earns by neither is left alone."""
+    best, other = fitted(-1e4, "gravity"), fitted(-gain * 10.0 * model_comparison.LEAST, "motor_lag")
+    rivals, moved = [selection_round.Hypothesis(p.structure.named, p) for p in (best, other)], []
+
+    def sounder(cases, before, point, held):
+        moved.append(point.structure.named)
+        return point
+
+    monkeypatch.setattr(model_comparison, "worth", lambda points: 10.0 if best in points else 1.0)
+    monkeypatch.setattr(selection_round, "plausible", lambda *rest: True)
+    monkeypatch.setattr(selection_round, "_tested", lambda cases, before, h, held: (before, False))
+    monkeypatch.setattr(selection_round, "_sounder", sounder)
+    assert not selection_round._judged((), fitted(0.0), rivals, {}).won
+    assert moved == [("gravity",), ("motor_lag",)][: 2 if gain > 0.1 else 1]
+
+
+@pytest.mark.parametrize("behind", [0.0, 1.0])
+def test_a_lag_is_tried_on_the_other_side_of_the_dead_band(behind: float) -> None:
+    """Whichever side a few steps had chosen; what acts on no side is left as it is."""
+    count, time = 2.0 * np.pi / 16384.0, 0.002 * np.arange(4000)
+    plain = Structure.of(["inertia", "viscous_friction", "dead_band"])
+    values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 8.0, "dead_band_reverse": 5.0}
+    full, there = plain.with_("motor_lag"), {"lag_time": 0.03, "lag_dead_band": behind}
+    duty = steps(np.random.default_rng(5), len(time), 100, 30.0)
+    y, _ = run(full, values | there, time, duty)
+    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
+    density = likelihood.density_of(cases[0], local_optima.MEMORY)
+    before = local_optima.settle(cases, plain, values, {}, density)
+    for side in (0.0, 1.0):
+        begun = local_optima.settle(cases, full, values | there | {"lag_dead_band": side}, {}, density)
+        (other,) = selection_round._on_the_other_side(
+            cases, before, selection_round.Hypothesis(("motor_lag",), begun), {}
+        )
+        assert other.point.values["lag_dead_band"] == 1.0 - side
+        assert (other.deviance < begun.deviance) == (side != behind)
+    delay = local_optima.settle(cases, plain.with_("input_delay"), values | {"delay": 0.03}, {}, density)
+    assert (
+        selection_round._on_the_other_side(cases, before, selection_round.Hypothesis(("input_delay",), delay), {}) == []
+    )
+
+
+@pytest.mark.parametrize("lag", [-140.0, -80.0])
+def test_what_goes_may_stand_in_the_place_of_what_stays(monkeypatch, lag: float) -> None:
+    """Of a lag and a delay that do the same the lag goes; alone it fits better than the delay, or nearly as well."""
+    first, joint = fitted(0.0), fitted(-85.0, "joint_elasticity")
+    both, delay = fitted(-150.0, "motor_lag", "input_delay"), fitted(-90.0, "input_delay")
+    other = fitted(lag, "motor_lag")
+    monkeypatch.setattr(local_optima, "kept", lambda point: {})
+    monkeypatch.setattr(local_optima, "settle", lambda *rest: delay)
+    monkeypatch.setattr(local_optima, "highest", lambda *rest: joint)
+    monkeypatch.setattr(forward_selection, "_pruned", lambda cases, best, begun, held: (best, [begun]))
+    monkeypatch.setattr(
+        forward_selection, "_swapped", lambda *rest: [forward_selection.Swap("input_delay", "motor_lag", other)]
+    )
+    told = (forward_selection.Swap("input_delay", "joint_elasticity", fitted(-140.0, "motor_lag", "joint_elasticity")),)
+    found = forward_selection.less(forward_selection.Search(first, both, (), (), swaps=told), ["motor_lag"], {})
+    alike = {(w.effect, w.rival): w.point for w in found.swaps}
+    if lag < delay.deviance:
+        assert found.last is other and alike == {("motor_lag", "input_delay"): delay}
+    else:
+        assert found.last is delay
+        assert alike == {("input_delay", "motor_lag"): other, ("input_delay", "joint_elasticity"): joint}
+    assert found.lesser == (first,)

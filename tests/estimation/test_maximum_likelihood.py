@@ -1,0 +1,129 @@
+"""The way to the maximum: parts of long recordings, a memory that grows, intervals that hold the valleys beside it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from axis_runs import run, steps
+
+from twin.estimation import likelihood, maximum_likelihood, multistart, preparation
+from twin.io.recording import Recording
+
+STRUCTURE, COUNT = preparation.base_structure(), 6e-4
+VALUES = {
+    "input_gain": 0.3, "viscous_friction": 3.0, "dead_band_forward": 5.0, "dead_band_reverse": 6.0,
+    "backlash_gap": 0.03, "motor_share": 0.3, "friction_share": 0.6, "tooth_frequency": 80.0, "tooth_damping": 0.25,
+}  # fmt: skip
+
+
+def made(count: int) -> Recording:
+    """Steps of random duty on the model, read in counts."""
+    time, duty = 0.002 * np.arange(count), steps(np.random.default_rng(3), count, 200, 40.0)
+    read = COUNT * np.round(run(STRUCTURE, VALUES, time, duty)[0] / COUNT)
+    return Recording("made", time, duty, read, "%", "rad", COUNT)
+
+
+def test_a_long_recording_is_looked_at_in_parts_from_its_beginning_to_its_end() -> None:
+    whole = preparation.prepare([made(30000)], STRUCTURE)
+    parts = multistart.glimpses(whole, STRUCTURE)
+    assert len(parts) == 5 and {p.reading_variance for p in parts} == {whole[0].reading_variance}
+    assert all(p.drive.time[0] == 0.0 and p.drive.time[-1] == pytest.approx(4.0, abs=0.003) for p in parts)
+    first, last, output = parts[0].recording.output, parts[-1].recording.output, whole[0].recording.output
+    np.testing.assert_array_equal(first, output[: len(first)])
+    np.testing.assert_array_equal(last, output[-len(last) :])
+    short = preparation.prepare([made(7000)], STRUCTURE)
+    assert multistart.glimpses(short, STRUCTURE) == short
+    assert multistart.glimpses(whole, STRUCTURE.with_("thermal_fade")) == whole
+
+
+def test_no_part_lies_in_a_pause() -> None:
+    """Somebody went for lunch: what was read before and after is looked at."""
+    recording = made(20000)
+    late = recording.time > 5.0
+    paused = replace(recording, time=recording.time + np.where(late, 600.0, 0.0))
+    # Nothing but a few seconds at the end.
+    lone = replace(paused, output=np.where(recording.time < 37.0, np.nan, recording.output))
+    for shown, least in ((paused, 900), (lone, 700)):
+        parts = multistart.glimpses(preparation.prepare([shown], STRUCTURE), STRUCTURE)
+        assert len(parts) == 5 and all(np.isfinite(p.drive.measured).sum() > least for p in parts)
+
+
+@pytest.mark.parametrize("gap", [0.018, 0.1])
+def test_a_memory_that_grows_leads_from_another_gap_and_other_teeth_to_the_truth(gap: float) -> None:
+    """A climb with the memory at which all ends gets no further than a valley nearby."""
+    cases = preparation.with_steps(preparation.prepare([made(10000)], STRUCTURE), STRUCTURE)
+    free = preparation.free_parameters(STRUCTURE)
+    apart = {"backlash_gap": gap, "motor_share": 0.3 * 0.03 / gap, "tooth_frequency": 80.0, "tooth_damping": 0.4}
+    point = multistart._lengthened(cases, STRUCTURE, VALUES | apart, free)
+    assert point.values["backlash_gap"] == pytest.approx(VALUES["backlash_gap"], rel=0.03)
+    assert point.values["tooth_frequency"] == pytest.approx(VALUES["tooth_frequency"], rel=0.05)
+    direct = likelihood.climb(cases, STRUCTURE, VALUES | apart, point.density, free)
+    assert direct.deviance > point.deviance + 100.0
+
+
+def test_the_way_is_found_in_parts_and_ends_with_all_of_a_recording(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(multistart, "_LONGER", 1.5)
+    cases, begun = multistart.start([made(10000)], STRUCTURE, {})
+    ways = []
+    monkeypatch.setattr(
+        multistart, "_lengthened", lambda seen, *more, way=multistart._lengthened: ways.append(seen) or way(seen, *more)
+    )
+    point = multistart.refine(cases, STRUCTURE, begun, {})
+    assert all(len(seen) == 5 and seen[0].drive.time[-1] < 1.6 for seen in ways)
+    assert point.values["input_gain"] == pytest.approx(VALUES["input_gain"], rel=1e-3)
+    assert point.values["backlash_gap"] == pytest.approx(VALUES["backlash_gap"], rel=0.02)
+
+
+def test_a_linear_axis_is_the_same_rig_seen_at_a_pinion() -> None:
+    turning = made(7000)
+    radius = replace(turning, output_unit="m").lever
+    sled = replace(turning, output=radius * turning.output, output_unit="m", resolution=radius * COUNT)
+    rigid, found = STRUCTURE.without("tooth_compliance"), []
+    for recording, length in ((turning, 1.0), (sled, radius)):
+        cases, points = multistart.start([recording], rigid, {})
+        known = VALUES | {"input_gain": 0.3 * length, "backlash_gap": 0.03 * length}
+        bred = multistart._bred(
+            preparation.with_steps(cases, STRUCTURE), replace(points[0], structure=STRUCTURE, values=known)
+        )
+        gaps = [v["backlash_gap"] for v in (*(p.values for p in points), *bred)]
+        gains = [p.values["input_gain"] for p in points]
+        found.append([*(x / length for x in (*gaps, *gains)), *(p.values["motor_share"] for p in points)])
+    assert found[1] == pytest.approx(found[0], rel=1e-3)
+
+
+def test_from_where_no_slope_leads_to_the_truth_breeding_does() -> None:
+    cases = preparation.with_steps(preparation.prepare([made(7000)], STRUCTURE), STRUCTURE)
+    free = preparation.free_parameters(STRUCTURE)
+    apart = {"backlash_gap": 0.012, "motor_share": 0.75, "tooth_frequency": 120.0, "tooth_damping": 0.4}
+    astray = multistart._lengthened(cases, STRUCTURE, VALUES | apart, free)
+    assert astray.values["backlash_gap"] < 0.5 * VALUES["backlash_gap"]
+    bred = multistart._bred(cases, astray)
+    for i, one in enumerate(bred):
+        assert likelihood.within_bounds(one)
+        assert all(max(abs(np.log(one[n] / other[n])) for n in multistart._RANGES) > 0.09 for other in bred[:i])
+    found = min((multistart._lengthened(cases, STRUCTURE, v, free) for v in bred), key=lambda p: p.deviance)
+    assert found.deviance < astray.deviance - 100.0
+    assert found.values["backlash_gap"] == pytest.approx(VALUES["backlash_gap"], rel=0.05)
+
+
+def test_the_intervals_hold_the_truth_and_the_share_goes_with_the_gap() -> None:
+    model = maximum_likelihood.identify([made(7000)], STRUCTURE)
+    for name in (*maximum_likelihood.PROFILED, "motor_share"):
+        low, high = model.intervals[name]
+        assert low < model.values[name] < high
+        assert low <= VALUES[name] <= high, name
+    (thin, wide), (light, heavy) = model.intervals["backlash_gap"], model.intervals["motor_share"]
+    product = model.values["backlash_gap"] * model.values["motor_share"]
+    assert light <= product / wide and product / thin <= heavy
+
+
+def test_a_parameter_without_a_trace_may_be_anything_within_its_bounds() -> None:
+    time, duty = 0.002 * np.arange(1800), np.repeat([20.0, 35.0, 50.0, 30.0, 45.0, 25.0], 300)
+    read = COUNT * np.round(run(STRUCTURE, VALUES, time, duty)[0] / COUNT)
+    model = maximum_likelihood.identify([Recording("one way", time, duty, read, "%", "rad", COUNT)], STRUCTURE)
+    assert model.intervals["dead_band_reverse"] == likelihood.bounds_of("dead_band_reverse")
+    low, high = model.intervals["dead_band_forward"]
+    assert low <= VALUES["dead_band_forward"] <= high < low + 0.1
+    assert not np.any(np.isnan(list(model.intervals.values())))

@@ -1,0 +1,62 @@
+"""A recording begins with a reading; where the axis was then its sensor decides."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from axis_runs import run, steps
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twin.estimation import likelihood, preparation
+from twin.io.recording import Recording
+from twin.model import sensor
+from twin.model.stepper import Structure
+
+PLAIN = Structure.of(("inertia", "viscous_friction", "dead_band"))
+OFF_CENTRE = PLAIN.with_("encoder_eccentricity")
+VALUES = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
+COUNT = 2.0 * np.pi / 16384
+
+
+@given(st.floats(-20.0, 20.0), st.floats(0.0, 0.5), st.floats(-7.0, 7.0))
+def test_the_sensor_reads_there_what_was_read(reading: float, size: float, angle: float) -> None:
+    values = {**VALUES, "eccentricity": size, "eccentricity_angle": angle}
+    position = sensor.position(OFF_CENTRE, values, reading)
+    assert position + size * np.sin(position - angle) == pytest.approx(reading, abs=1e-9)
+    # The derivative of what defines it: dx + sin(x - a) de + e cos(x - a) (dx - da) = 0.
+    lean = 1.0 + size * np.cos(position - angle)
+    by_hand = {"eccentricity": -np.sin(position - angle), "eccentricity_angle": size * np.cos(position - angle)}
+    for name, value in by_hand.items():
+        assert sensor.slope(OFF_CENTRE, values, reading, name) == pytest.approx(value / lean, abs=1e-5)
+
+
+@given(st.floats(-20.0, 20.0))
+def test_a_sensor_that_errs_by_nothing_reads_where_the_axis_is(reading: float) -> None:
+    assert sensor.position(PLAIN, VALUES, reading) == reading and sensor.parameters(PLAIN) == ()
+
+
+@pytest.mark.parametrize("angle", [1.0, -2.2])
+def test_an_encoder_off_centre_is_estimated_wherever_a_recording_begins(angle: float) -> None:
+    """The error at the first reading is none of the model's: it is tens of counts here."""
+    rng = np.random.default_rng(2)
+    time = 0.002 * np.arange(8000)
+    command = steps(rng, len(time), 300, 25.0)
+    true = {**VALUES, "eccentricity": 0.01, "eccentricity_angle": angle}
+    y, _ = run(OFF_CENTRE, true, time, command + 0.3 * rng.standard_normal(len(time)))
+    recording = Recording("made", time, command, np.round(y / COUNT) * COUNT, "%", "rad", COUNT)
+    assert abs(recording.output[0]) > 15.0 * COUNT
+    case = likelihood.prepare(recording, OFF_CENTRE)
+    begun = {**true, "eccentricity": 0.004, "eccentricity_angle": angle + 0.5}
+    found = likelihood.fit([case], OFF_CENTRE, begun, preparation.free_parameters(OFF_CENTRE))
+    assert found.values["eccentricity"] == pytest.approx(0.01, rel=0.1)
+    assert found.values["eccentricity_angle"] == pytest.approx(angle, abs=0.1)
+
+    def error(values: dict[str, float]) -> np.ndarray:
+        return likelihood.innovations(case, OFF_CENTRE, values, found.density).error
+
+    free = ("eccentricity", "eccentricity_angle")
+    slopes = likelihood.innovations(case, OFF_CENTRE, found.values, found.density, free).slopes
+    for i, name in enumerate(free):
+        up, down = ({**found.values, name: found.values[name] + s} for s in (1e-6, -1e-6))
+        np.testing.assert_allclose(-slopes[:, i], (error(up) - error(down)) / 2e-6, rtol=1e-3, atol=1e-4)

@@ -1,0 +1,141 @@
+"""The axis as C: the same syntax tree as the Python text, printed in another tongue."""
+
+from __future__ import annotations
+
+import ast
+from functools import cache
+
+from twin.codegen.python import module
+from twin.model.stepper import Structure
+
+_OPERATORS = {
+    ast.Add: "+",
+    ast.Sub: "-",
+    ast.Mult: "*",
+    ast.Div: "/",
+    ast.Gt: ">",
+    ast.Lt: "<",
+    ast.GtE: ">=",
+    ast.LtE: "<=",
+    ast.Eq: "==",
+    ast.NotEq: "!=",
+    ast.And: "&&",
+    ast.Or: "||",
+}
+_FUNCTIONS = {"abs": "fabs", "min": "fmin", "max": "fmax", "int": "trunc"}
+#: Names that are arrays in the texts: states, memory and queue are written to, parameters and settings are read.
+_ARRAYS = {n: f"double *{n}" for n in ("x", "y", "m", "q")} | {n: f"const double *{n}" for n in ("p", "g", "k")}
+
+
+def _expression(node: ast.expr) -> str:
+    match node:
+        case ast.Constant(value):
+            return repr(value)
+        case ast.Name(name):
+            return name
+        case ast.Subscript(ast.Name(name), ast.Constant(int(index))):
+            return f"{name}[{index}]"
+        case ast.Subscript(ast.Name(name), index):
+            return f"{name}[(size_t){_expression(index)}]"
+        case ast.UnaryOp(ast.USub(), operand):
+            return f"(-{_expression(operand)})"
+        case ast.BinOp(left, ast.Pow(), ast.Constant(2)):
+            return f"({_expression(left)} * {_expression(left)})"
+        case ast.BinOp(left, ast.Pow(), right):
+            return f"pow({_expression(left)}, {_expression(right)})"
+        case ast.BinOp(left, operator, right):
+            return f"({_expression(left)} {_OPERATORS[type(operator)]} {_expression(right)})"
+        case ast.Compare(left, [operator], [right]):
+            return f"({_expression(left)} {_OPERATORS[type(operator)]} {_expression(right)})"
+        case ast.BoolOp(operator, values):
+            return "(" + f" {_OPERATORS[type(operator)]} ".join(map(_expression, values)) + ")"
+        case ast.IfExp(test, body, orelse):
+            return f"({_expression(test)} ? {_expression(body)} : {_expression(orelse)})"
+        case ast.Call(ast.Name(name), arguments):
+            return f"{_FUNCTIONS.get(name, name)}({', '.join(map(_expression, arguments))})"
+    raise ValueError(f"no C for {ast.unparse(node)!r}")
+
+
+def _statement(node: ast.stmt, indent: str) -> list[str]:
+    inner = indent + "    "
+    match node:
+        case ast.Assign([target], value):
+            return [f"{indent}{_expression(target)} = {_expression(value)};"]
+        case ast.Expr(value):
+            return [f"{indent}{_expression(value)};"]
+        case ast.Return(value) if value is not None:
+            return [f"{indent}return {_expression(value)};"]
+        case ast.Break():
+            return [f"{indent}break;"]
+        case ast.Pass():
+            return []
+        case ast.If(test, body, orelse):
+            lines = [f"{indent}if ({_expression(test)}) {{", *_block(body, inner)]
+            if orelse:
+                lines += [f"{indent}}} else {{", *_block(orelse, inner)]
+            return [*lines, f"{indent}}}"]
+        case ast.For(ast.Name(name), ast.Call(ast.Name("range"), [count]), body):
+            head = f"{indent}for (int {name} = 0; {name} < {_expression(count)}; ++{name}) {{"
+            return [head, *_block(body, inner), f"{indent}}}"]
+    raise ValueError(f"no C for {ast.unparse(node)!r}")
+
+
+def _block(body: list[ast.stmt], indent: str) -> list[str]:
+    return [line for node in body for line in _statement(node, indent)]
+
+
+def _function(function: ast.FunctionDef) -> str:
+    arguments = [a.arg for a in function.args.args]
+    counters = {n.target.id for n in ast.walk(function) if isinstance(n, ast.For) and isinstance(n.target, ast.Name)}
+    local = {
+        n.id: None
+        for n in ast.walk(function)
+        if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store) and n.id not in {*arguments, *counters}
+    }
+    stored = {
+        n.value.id
+        for n in ast.walk(function)
+        if isinstance(n, ast.Subscript) and isinstance(n.ctx, ast.Store) and isinstance(n.value, ast.Name)
+    }
+    formals = ", ".join(f"double *{a}" if a in stored else _ARRAYS.get(a, f"double {a}") for a in arguments)
+    lines = [f"static double {function.name}({formals})", "{"]
+    if local:
+        lines.append(f"    double {', '.join(sorted(local))};")
+    names = [n for node in function.body for n in ast.walk(node) if isinstance(n, ast.Name)]
+    read = {n.id for n in names if isinstance(n.ctx, ast.Load)}
+    lines += [f"    (void){a};" for a in [*arguments, *sorted(local)] if a not in read]
+    return "\n".join([*lines, *_block(function.body, "    "), "}"])
+
+
+def functions(tree: ast.Module, *roots: str) -> str:
+    """C text of a module's functions: the named ones and what is called. C99, needs math.h and stddef.h."""
+    found = {f.name: f for f in tree.body if isinstance(f, ast.FunctionDef)}
+    called, left = set(roots), list(roots)
+    while left:
+        more = {n.id for n in ast.walk(found[left.pop()]) if isinstance(n, ast.Name)} & found.keys() - called
+        called |= more
+        left += more
+    return "\n\n".join(_function(f) for f in found.values() if f.name in called) + "\n"
+
+
+@cache
+def library(structure: Structure) -> str:
+    """C text of a library that moves an axis by `count` internal steps of h: its one function is `advance`."""
+    return f"""#include <math.h>
+
+{functions(module(structure), "step")}
+#if defined __GNUC__
+__attribute__((visibility("default")))
+#endif
+void advance(double *x, const double *p, const double *k, double command, double h, long count)
+{{
+    for (long i = 0; i < count; ++i) step(x, p, k, command, h);
+}}
+"""
+
+
+def write(structure: Structure) -> str:
+    """C text for one structure: `static double step(double *x, const double *p, const double *k, double command,
+    double h)`, `sensor(position, p)` and what they call. C99, needs only math.h, no state of its own.
+    """
+    return "#include <math.h>\n\n" + functions(module(structure), "step", "sensor")

@@ -1,0 +1,245 @@
+"""The axis for an outside solver: rates under fixed modes, and the events at which the modes change.
+
+In the stepper's language, with the stepper's laws. A body slides forwards (mode 1), backwards (-1) or is held
+(0); the solver finds the zeros of the margins, and `settle` then chooses anew. Rigid contact and dead time are
+not expressed here: structures that have them are for co-simulation only.
+"""
+
+# mypy: ignore-errors
+# ruff: noqa: F821, F841, SIM102
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from dataclasses import replace
+
+from twin.codegen.c import _function
+from twin.codegen.python import numbering, resolve
+from twin.model.stepper import STATES, Structure
+
+#: What stands behind the states: their rates, the modes, the margins whose zeros are events, and torques.
+BEHIND = (
+    "rate_position", "rate_velocity", "rate_gap", "rate_motor_velocity", "rate_lag", "rate_heat", "rate_bend",
+    "rate_ride", "rate_ride_velocity",
+    "mode_motor", "mode_link", "margin_motor", "margin_link", "margin_upper", "margin_lower",
+    "push_motor", "push_link", "forward_motor", "reverse_motor", "forward_link", "reverse_link",
+)  # fmt: skip
+
+
+def offered(structure: Structure) -> bool:
+    """Whether the structure can be given to an outside solver."""
+    rigid = "backlash" in structure and not structure.elastic
+    return not rigid and "input_delay" not in structure
+
+
+def continuous(structure: Structure) -> tuple[str, ...]:
+    """The states that a solver integrates, in the stepper's order."""
+    present = {
+        "gap": "backlash" in structure,
+        "motor_velocity": "backlash" in structure,
+        "lag": "motor_lag" in structure,
+        "heat": "thermal_fade" in structure,
+        "bend": "bristle" in structure.slots,
+        "ride": "rider" in structure.slots,
+        "ride_velocity": "rider" in structure.slots,
+    }
+    return tuple(name for name in STATES if name != "time" and present.get(name, True))
+
+
+def margins(structure: Structure) -> tuple[str, ...]:
+    """The event indicators."""
+    sticks = "grip" in structure.slots
+    two = "backlash" in structure
+    held = (("margin_motor",) if two else ()) + ("margin_link",) if sticks else ()
+    return held + (("margin_upper", "margin_lower") if two else ())
+
+
+def left_over(torque, forward, reverse, mode):
+    """What dry friction leaves of a torque on a body in a mode."""
+    left = 0.0
+    if mode > 0.0:
+        left = torque - forward
+    elif mode < 0.0:
+        left = torque + reverse
+    return left
+
+
+def margin(torque, forward, reverse, mode, velocity):
+    """How far a body is from leaving its mode."""
+    far = mode * velocity
+    if mode == 0.0:
+        far = forward - torque
+        if reverse + torque < far:
+            far = reverse + torque
+    return far
+
+
+def chosen(torque, forward, reverse):
+    """The mode of a body at rest."""
+    # A solver stops a rounding before the balance. A body that is left at rest there has a margin that begins at zero,
+    # and that it changes its sign then no solver sees.
+    mode = 0.0
+    if torque > 0.999999999 * forward:
+        mode = 1.0
+    elif torque < -0.999999999 * reverse:
+        mode = -1.0
+    return mode
+
+
+def rates(x, p, k, command):
+    """Fill the rates, margins and torques from the states and modes."""
+    half = 0.0
+    mass_m = 0.0
+    share = 0.0
+    dry = 0.0
+    turned = 0.0
+    speed_m = x.velocity
+    wound = 0.0
+    if has.backlash:
+        half = 0.5 * p.backlash_gap
+        mass_m = p.motor_share
+        share = p.friction_share
+        dry = p.dry_share
+        turned = p.shaft_share
+        speed_m = x.motor_velocity
+        rate = 0.0
+        ratio = 0.0
+        if has.tooth_compliance:
+            rate = 6.283185307179586 * p.tooth_frequency
+            ratio = p.tooth_damping
+        if has.joint_elasticity:
+            rate = 6.283185307179586 * p.joint_frequency
+            ratio = p.joint_damping
+        side = 0
+        if half <= 0.0:
+            side = 2
+        elif x.gap > half:
+            side = 1
+        elif x.gap < -half:
+            side = -1
+        stiffness = rate * rate * mass_m * (1.0 - mass_m)
+        damping = 2.0 * ratio * rate * mass_m * (1.0 - mass_m)
+        wound = tension(x.gap, speed_m - x.velocity, side, half, stiffness, damping)
+    mass_l = 1.0 - mass_m
+    if has.mass:
+        mass_l = mass_l + mass(x.position, x.time, k.payload, p)
+
+    emf = 0.0
+    if has.supply_sag:
+        emf = p.viscous_friction * speed_m / p.input_gain
+    if has.thermal_fade:
+        emf = p.viscous_friction * speed_m / p.input_gain
+        cold = drive(command, emf, 0.0, x.position + x.gap, p)
+        x.rate_heat = (((cold - p.fade_emf * emf) / p.fade_reference) ** 2 - x.heat) / p.fade_time
+    acting = drive(command, emf, x.heat, x.position + x.gap, p)
+    if has.motor_lag:
+        fed = acting
+        acting = x.lag
+        if has.dead_band:
+            kept = clipped(command, p.dead_band_forward, p.dead_band_reverse)
+            fed = fed + p.lag_dead_band * kept
+            acting = beyond(x.lag, p.lag_dead_band * p.dead_band_forward, p.lag_dead_band * p.dead_band_reverse)
+        x.rate_lag = (fed - x.lag) / p.lag_time
+    torque = p.input_gain * acting
+    pull = 0.0
+    if has.load:
+        pull = load(x.position, x.velocity, x.time, k.moment, p)
+    if has.shaft:
+        torque = torque + turned * shaft(x.position + x.gap, p)
+        pull = pull + (1.0 - turned) * shaft(x.position, p)
+    if has.bristle:
+        torque = torque + bristle(x.bend, p)
+        way = speed_m
+        if way < 0.0:
+            way = -way
+        x.rate_bend = (speed_m - way * x.bend) / p.unknown_bend_give
+    tug = 0.0
+    if has.rider:
+        tug = tugging(x.ride, x.ride_velocity, p.unknown_swing_stiffness, p.unknown_swing_damping)
+        drawn = rider(tug, p)
+        pull = pull + drawn
+    forward = 0.0
+    reverse = 0.0
+    if has.grip:
+        if has.backlash:
+            through = wound
+        else:
+            # Where nothing tells motor and link apart each is half of the axis.
+            resist = 0.5 * drag(x.position, x.velocity, p)
+            through = ((torque + resist) * (mass_l - 0.5) - 0.5 * (pull + resist)) / mass_l
+        forward = grip(x.position, x.velocity, 1.0, through, p)
+        reverse = grip(x.position, x.velocity, -1.0, through, p)
+        if forward < 0.0:
+            forward = 0.0
+        if reverse < 0.0:
+            reverse = 0.0
+    x.forward_motor = dry * forward
+    x.reverse_motor = dry * reverse
+    x.forward_link = forward - x.forward_motor
+    x.reverse_link = reverse - x.reverse_motor
+    x.push_link = pull + (1.0 - share) * drag(x.position, x.velocity, p) + wound
+    if has.backlash:
+        x.push_motor = torque + share * drag(x.position, speed_m, p) - wound
+    else:
+        x.push_link = x.push_link + torque
+    left_m = x.push_motor
+    left_l = x.push_link
+    if has.grip:
+        left_m = left_over(x.push_motor, x.forward_motor, x.reverse_motor, x.mode_motor)
+        left_l = left_over(x.push_link, x.forward_link, x.reverse_link, x.mode_link)
+        x.margin_motor = margin(x.push_motor, x.forward_motor, x.reverse_motor, x.mode_motor, speed_m)
+        x.margin_link = margin(x.push_link, x.forward_link, x.reverse_link, x.mode_link, x.velocity)
+    x.rate_position = x.velocity
+    x.rate_velocity = left_l / mass_l
+    x.rate_ride = x.ride_velocity
+    x.rate_ride_velocity = -x.rate_velocity - tug
+    if has.backlash:
+        x.rate_gap = speed_m - x.velocity
+        x.rate_motor_velocity = left_m / mass_m
+        x.margin_upper = x.gap - half
+        x.margin_lower = x.gap + half
+    return 0.0
+
+
+def settle(x, p, k, command):
+    """Choose the modes anew; return 1 where one changed or a body came to rest."""
+    changed = 0.0
+    if has.grip:
+        done = rates(x, p, k, command)
+        if has.backlash:
+            if x.mode_motor * x.motor_velocity <= 0.0:
+                mode = chosen(x.push_motor, x.forward_motor, x.reverse_motor)
+                if x.mode_motor == 0.0 and x.motor_velocity > 0.0:
+                    mode = 1.0
+                elif x.mode_motor == 0.0 and x.motor_velocity < 0.0:
+                    mode = -1.0
+                elif x.motor_velocity != 0.0:
+                    x.motor_velocity = 0.0
+                    changed = 1.0
+                if mode != x.mode_motor:
+                    x.mode_motor = mode
+                    changed = 1.0
+        if x.mode_link * x.velocity <= 0.0:
+            mode = chosen(x.push_link, x.forward_link, x.reverse_link)
+            if x.mode_link == 0.0 and x.velocity > 0.0:
+                mode = 1.0
+            elif x.mode_link == 0.0 and x.velocity < 0.0:
+                mode = -1.0
+            elif x.velocity != 0.0:
+                x.velocity = 0.0
+                changed = 1.0
+            if mode != x.mode_link:
+                x.mode_link = mode
+                changed = 1.0
+    return changed
+
+
+def write(structure: Structure) -> str:
+    """C text beside the stepper's: `rates` and `settle`, both `double (double *x, p, k, double command)`."""
+    numbers = replace(numbering(structure, False), states={n: i for i, n in enumerate((*STATES, *BEHIND))})
+    sticks = (left_over, margin, chosen) if "grip" in structure.slots else ()
+    text = "\n".join(textwrap.dedent(inspect.getsource(f)) for f in (*sticks, rates, settle))
+    functions = [f for f in resolve(text, numbers).body if isinstance(f, ast.FunctionDef)]
+    return "\n\n".join(_function(f) for f in functions) + "\n"

@@ -1,0 +1,1 @@
+"""The controller: design from a model, robustness, co-simulation against the FMU."""

@@ -1,0 +1,569 @@
+"""Which effects a first model lacks: added one at a time, pruned, held against what is easily taken for them; and
+looked for once more with a filter that forgets as fast as the recording asks (`closer`).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+from twin.diagnosis import model_comparison, screening, selection_round, torque_regression
+from twin.diagnosis.plausibility import plausible
+from twin.diagnosis.selection_round import Hypothesis, Round
+from twin.effects.catalogue import CANDIDATES, EFFECTS
+from twin.effects.end_stop import NOWHERE
+from twin.estimation import contact_masking, likelihood, local_optima, multistart, preparation
+from twin.estimation.likelihood import Case, Point
+from twin.io.recording import Recording
+from twin.model.stepper import Structure
+from twin.parallel import each
+
+Progress = Callable[[str, float], None]
+#: More effects than this at once are not looked for.
+MOST = 4
+#: So often at most is more looked for after one effect has taken another's place.
+TURNS = 2
+#: Dead-bands that differ by so many standard errors are not equal.
+CERTAIN = 3.0
+#: So often at most are meetings that a model foresees looked for, since another judgement moves the model.
+FORESEEN = 2
+#: A rival that had earned all but this share of what the winner did is tried in its place; and from so many of those in
+#: the first round the search begins anew.
+NARROW, SECONDS = 0.1, 2
+
+
+@dataclass(frozen=True, eq=False)
+class Swap:
+    """The last model with a rival in the place of one of its effects, fitted."""
+
+    effect: str
+    rival: str
+    point: Point
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """How a structure was arrived at: the first model, the last, the rounds between, the last less one effect, and the
+    last with one effect exchanged for a rival that had come close to it, or for one that contains it.
+    """
+
+    first: Point
+    last: Point
+    rounds: tuple[Round, ...]
+    cases: tuple[Case, ...]
+    lesser: tuple[Point, ...] = ()
+    swaps: tuple[Swap, ...] = ()
+
+
+def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
+    """The structure less one effect each, with and without what that effect brought along."""
+    out = []
+    for effect in structure.named:
+        if effect not in keep:
+            brought = structure.brought_by(effect, keep)
+            out += [structure.without(effect)] if brought else []
+            out += [structure.without(effect, *brought)]
+    return out
+
+
+def _fits(
+    cases: Sequence[Case], point: Point, held: Mapping[str, float], structures: Sequence[Structure]
+) -> list[Point]:
+    return each(lambda s: local_optima.settle(cases, s, point.values, held, point.density), structures)
+
+
+def _fair(cases: Sequence[Case], point: Point, lesser: Sequence[Point], begun: Point) -> Point:
+    """The best of the lesser fits whose lack does not matter, or the point itself.
+
+    What a law misses of what it stands for must not pass for another effect.
+    """
+    missed = model_comparison.LAX**2 * max(begun.deviance - point.deviance, 0.0)
+    fair = [q for q in lesser if plausible(cases, q, point) and not model_comparison.earns(q, point, missed)]
+    return min(fair, key=lambda q: model_comparison.criterion(q, model_comparison.worth([point])), default=point)
+
+
+def _moved(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
+    """The point at the noise density that it asks for, gap and teeth looked for anew; as it was where that would bend
+    an effect into something else.
+    """
+    moved = local_optima.relocated(cases, local_optima.rejudged(cases, point, held), held)
+    return moved if plausible(cases, moved, point) else point
+
+
+def _grown(
+    cases: Sequence[Case], best: Point, candidates: Sequence[str], held: Mapping[str, float], tell: Progress,
+    most: int = MOST,
+) -> tuple[Point, list[Round]]:  # fmt: skip
+    """The model with up to so many effects that earn their place, one at a time; the rounds, of which the last may have
+    added none.
+    """
+    rounds: list[Round] = []
+    known: list[Hypothesis] = []
+    while len(rounds) < most and (open_ := [c for c in candidates if c not in best.structure]):
+        tell(f"round {len(rounds) + 1}: trying {len(open_)} effects", 0.05 + 0.2 * len(rounds))
+        best = _moved(cases, best, held) if rounds else best
+        usual = selection_round.compete(cases, best, known, open_, held)
+        this = selection_round.slower(cases, usual, open_, held)
+        if not this.won:
+            best = this.before
+            rounds.append(this)
+            break
+        winner, best = this.rivals[0].point, _plainer(cases, this, held)
+        known = [] if best is winner else [this.rivals[0]]
+        rounds.append(_bettered(this, best))
+        if this is not usual:
+            # Over so long a memory others would earn by a bounce's chance what they must.
+            break
+    return best, rounds
+
+
+def _pruned(
+    cases: Sequence[Case], best: Point, begun: Point, held: Mapping[str, float]
+) -> tuple[Point, list[Point]]:  # fmt: skip
+    """The model without effects whose lack does not matter, and the smaller ones that it is held against."""
+    lesser: list[Point] = []
+    while fewer := _smaller(best.structure, begun.structure):
+        lesser = [*_fits(cases, best, held, fewer), begun]
+        less = _fair(cases, best, lesser, begun)
+        if less is best:
+            break
+        best = less
+    return best, lesser
+
+
+def _unmet(cases: Sequence[Case], last: Point) -> Point:
+    """The model with a stop only on the side where one is met.
+
+    Where nothing shows a stop it may stand at the furthest reading as well as anywhere beyond, and would be met by the
+    next recording that goes further.
+    """
+    mine, fits = preparation.with_steps(cases, last.structure), [last]
+    for stop, far in NOWHERE.items():
+        if stop in last.free:
+            free = tuple(n for n in last.free if n != stop)
+            fits.append(likelihood.climb(mine, last.structure, {**last.values, stop: far}, last.density, free))
+    return min(fits, key=lambda p: model_comparison.criterion(p, model_comparison.worth([last])))
+
+
+def find(
+    recordings: Sequence[Recording],
+    first: Structure,
+    held: Mapping[str, float],
+    candidates: Sequence[str] = CANDIDATES,
+    progress: Progress | None = None,
+) -> Search:
+    """Add effects one at a time for as long as each earns its place, and look closer at what came of it."""
+    tell = progress or (lambda sentence, share: None)
+    tell("fitting the first model", 0.0)
+    cases, rough = multistart.start(recordings, first, held)
+    polished, fine = multistart.polish(cases, multistart.refine(cases, preparation.with_teeth(first), rough, held))
+    # What a model without the right physics cannot foresee may be what is looked for.
+    cases = contact_masking.judged_throughout(polished)
+    best = local_optima.settle(cases, first, fine.values, held, local_optima.judged(cases, fine))
+    candidates = screening.offered(cases, candidates)
+    found = _climbed(cases, best, (), first, candidates, held, tell)
+    for this in _seconds(cases, found, best.density):
+        tell(f"beginning anew with {EFFECTS[this.rivals[0].added[0]].title}", 0.7)
+        start = _plainer(cases, this, held)
+        other = _climbed(cases, start, (_bettered(this, start),), first, candidates, held, lambda said, share: None)
+        found = _likelier(cases, found, other, held)
+        if found.last is other.last:
+            break
+    best, rounds = _unmet(cases, found.last), found.rounds
+    wider = _wider(cases, best, first, candidates, held, rounds)
+    best, swaps = _widened(cases, best, found.swaps, wider, held)
+    swaps = [*swaps, *_levelled(cases, best, candidates)]
+    tell("looking closer", 0.8)
+    return closer(replace(found, last=best, swaps=tuple(swaps)), held, candidates)
+
+
+def _climbed(
+    cases: Sequence[Case], best: Point, rounds: Sequence[Round], first: Structure, candidates: Sequence[str],
+    held: Mapping[str, float], tell: Progress,
+) -> Search:  # fmt: skip
+    """The search that grows from a model which these rounds led to."""
+    rounds, room = list(rounds), MOST - len(rounds)
+    for _ in range(TURNS):
+        grown, more = _grown(cases, best, candidates, held, tell, room)
+        rounds += more
+        # What the last model is held against is judged as it is.
+        start = rounds[0].before if rounds else grown
+        begun = local_optima.settle(cases, first, start.values, held, grown.density)
+        best, lesser, swaps = _weighed(cases, grown, begun, rounds, held)
+        begun = _likeliest(lesser, begun)
+        # What was ousted, or did not last, may have stood before what would; but not where it did more than all others.
+        if best.structure in (grown.structure, *(this.before.structure for this in rounds)):
+            break
+    return Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
+
+
+def _seconds(cases: Sequence[Case], found: Search, density: float) -> list[Round]:
+    """The first round, won by a rival instead: by each that shows, had earned about as much, or more, in units of its
+    own, and neither contains the winner nor is contained in it.
+
+    What leads a model astray may do most for the deviance, since correlated innovations count the same evidence many
+    times over. None where the round was not won with the density that the search began with, or was won on credit.
+    """
+    this = found.rounds[0] if found.rounds else None
+    if this is None or not this.won or this.before.density < density:
+        return []
+    winner, *others = this.rivals
+    gain = model_comparison.earned(this.before, winner.point)
+    if gain <= model_comparison.LEAST:
+        return []
+    least = max(model_comparison.LEAST, (1.0 - NARROW) * gain)
+    apart = [
+        h
+        for h in others
+        if winner.added[0] not in h.point.structure and h.added[0] not in {*winner.point.structure.ids, *this.refused}
+    ]
+    gains = {h.added[0]: model_comparison.earned(this.before, h.point) for h in apart}
+    close = sorted((h for h in apart if gains[h.added[0]] > least), key=lambda h: -gains[h.added[0]])
+    shown = [h for h in close[:SECONDS] if selection_round.shows(cases, this.before, h.point)]
+    return [replace(this, rivals=(h, *(o for o in this.rivals if o is not h))) for h in shown]
+
+
+def _likelier(cases: Sequence[Case], one: Search, other: Search, held: Mapping[str, float]) -> Search:
+    """The search whose end the recordings speak for, both judged at one noise density; where both end in the same but
+    for one effect each, with the other's as what could stand in its place.
+    """
+    density = min(one.last.density, other.last.density)
+
+    def judged(end: Point) -> Point:
+        same = end.density == density
+        return end if same else local_optima.settle(cases, end.structure, end.values, held, density)
+
+    ends = [(one, judged(one.last)), (other, judged(other.last))]
+    if model_comparison.behind(ends[1][1], ends[0][1]) < 0.0:
+        ends.reverse()
+    (kept, best), (_, lost) = ends
+    if one.last.structure == other.last.structure:
+        return replace(one, last=best) if one.last.density == density else one
+    own, rival = ([i for i in a.structure.named if i not in b.structure] for a, b in ((best, lost), (lost, best)))
+    told = {(w.effect, w.rival) for w in kept.swaps}
+    if len(own) == len(rival) == 1 and (own[0], rival[0]) not in told and kept.last is best:
+        return replace(kept, swaps=(*kept.swaps, Swap(own[0], rival[0], lost)))
+    return kept
+
+
+def _likeliest(lesser: Sequence[Point], begun: Point) -> Point:
+    """The likeliest of these with the structure of one of them."""
+    return min((q for q in lesser if q.structure == begun.structure), key=lambda p: p.deviance, default=begun)
+
+
+def _weighed(
+    cases: Sequence[Case], grown: Point, begun: Point, rounds: Sequence[Round], held: Mapping[str, float]
+) -> tuple[Point, list[Point], list[Swap]]:  # fmt: skip
+    """The model that growing from another ended at, without effects whose lack does not matter and with a rival in the
+    place of one if that now fits better; smaller models that it is held against; what could stand in an effect's place.
+    """
+    best, lesser = _pruned(cases, grown, begun, held)
+    swaps = _swapped(cases, best, begun.structure, lesser, rounds, held)
+    better = min(swaps, key=lambda w: model_comparison.behind(w.point, best), default=None)
+    if better is None or model_comparison.behind(better.point, best) >= 0.0:
+        return best, lesser, swaps
+    # The rival had lost beside what was still missing then; now it is the one that fits, and more may show.
+    last, lesser = _pruned(cases, better.point, _likeliest(lesser, begun), held)
+    return last, lesser, [Swap(better.rival, better.effect, best)] if better.rival in last.structure else []
+
+
+@dataclass(frozen=True, eq=False)
+class Contest:
+    """How an effect won its place: by how much, and the rivals that lack it, each with how far behind it was."""
+
+    gain: float
+    rivals: tuple[tuple[Hypothesis, float], ...]
+
+
+def contest_of(rounds: Sequence[Round], last: Structure, effect: str) -> Contest:
+    """The last round that was won and that an effect of the last model was in, at whatever place: what had lost to a
+    rival may have taken its place since.
+
+    A rival that contains the effect and more does not deny it; one that is in the last model, too, took nothing away;
+    and what did not show has no share.
+    """
+    for this in reversed(rounds):
+        own = {
+            h.added[0]: model_comparison.criterion(h.point, this.unit)
+            for h in this.rivals
+            if effect in h.point.structure
+        }
+        if this.won and effect not in this.before.structure and own:
+            # An effect that another one brought along stands for itself where it ran, too.
+            best = own.get(effect, min(own.values()))
+            others = [h for h in this.rivals if effect not in h.point.structure and h.added[0] not in last]
+            rivals = tuple(
+                (h, model_comparison.criterion(h.point, this.unit) - best)
+                for h in others
+                if h.added[0] not in this.refused
+            )
+            return Contest(model_comparison.criterion(this.before, this.unit) - best, rivals)
+    return Contest(0.0, ())
+
+
+def shares(found: Search, effect: str) -> tuple[float, dict[str, float]]:
+    """What of all that is certain an effect of the last model has, and what each rival that could stand in its place;
+    its absence has the rest.
+    """
+    contest = contest_of(found.rounds, found.last.structure, effect)
+    against = {h.added[0]: max(short, 0.0) for h, short in contest.rivals}
+    against |= {w.rival: model_comparison.behind(w.point, found.last) for w in found.swaps if w.effect == effect}
+    without = [model_comparison.earned(q, found.last) for q in found.lesser if effect not in q.structure]
+    own, *others = model_comparison.weights([0.0, *against.values(), *([min(without)] if without else [])])
+    return float(own), {rival: float(w) for rival, w in zip(against, others, strict=False)}
+
+
+def _swapped(
+    cases: Sequence[Case], last: Point, first: Structure, lesser: Sequence[Point], rounds: Sequence[Round],
+    held: Mapping[str, float],
+) -> list[Swap]:  # fmt: skip
+    """The last model with each effect exchanged for every rival that had come close to it; one that would do better has
+    to show in its place.
+
+    `lesser` are smaller models that the last one is held against, down to the first.
+    """
+    out = []
+    for effect in last.structure.named:
+        contest = contest_of(rounds, last.structure, effect)
+        margin = max(model_comparison.UNSURE, NARROW * contest.gain)
+        for h, short in contest.rivals:
+            if short < margin:
+                own, brought = h.point, last.structure.brought_by(effect, first)
+                starts = ({**own.values, **last.values}, {**last.values, **own.values})
+                # What the effect had brought along may be there without it.
+                others = dict.fromkeys(last.structure.without(effect, *i).with_(*h.added) for i in ((), brought))
+                begun = itertools.product(others, starts)
+                tried = each(lambda b: local_optima.settle(cases, b[0], b[1], held, last.density), begun)
+                point = local_optima.deepen(cases, min(tried, key=lambda p: model_comparison.behind(p, last)), held)
+                # What stays behind takes no place, and needs no test: that something is there is known from the effect.
+                without = min((q for q in lesser if effect not in q.structure), key=lambda q: q.deviance)
+                stays = model_comparison.behind(point, last) >= 0.0
+                if plausible(cases, point, last) and (stays or selection_round.shows(cases, without, point)):
+                    out.append(Swap(effect, h.added[0], point))
+    return out
+
+
+def _overtook(rounds: Sequence[Round], effect: str, other: str) -> list[Point]:
+    """The fits with the other effect, where in one round it did so much more than the effect that it had earned to
+    stand beside it."""
+    fits = [{h.added[0]: h.point for h in this.rivals} for this in rounds]
+    if not any(effect in by and other in by and model_comparison.earns(by[effect], by[other]) for by in fits):
+        return []
+    return [by[other] for by in fits if other in by]
+
+
+def _wider(
+    cases: Sequence[Case], last: Point, first: Structure, candidates: Sequence[str], held: Mapping[str, float],
+    rounds: Sequence[Round] = (),
+) -> list[Swap]:  # fmt: skip
+    """The last model with what contains one of its effects, and is as large, where that fits about as well.
+
+    Dry friction that differs between the directions is dry friction and a dead-band that is wider on one side, unless
+    something moves that is not driven: the simpler one is named, but little speaks for it. Where the wider one did
+    more in one of the rounds, it is tried at any size: a filter that remembers for longer may have seen what the last
+    one does not.
+    """
+    out = []
+    for effect, other in itertools.product(last.structure.named, candidates):
+        if effect not in EFFECTS[other].includes or effect in first or other in last.structure:
+            continue
+        own, more = EFFECTS[effect].screen, EFFECTS[other].screen
+        assert own is not None and more is not None
+        longer, size = last.structure.with_(other), last.values[own.gain]
+        mine, known = preparation.with_steps(cases, longer), preparation.completed(longer, last.values) | dict(held)
+        starts = [known | {more.gain: s * size} for s in (1.0, -1.0) if more.gain not in held]
+        allowed = filter(likelihood.within_bounds, starts)
+        climb = partial(likelihood.climb, mine, longer, density=last.density, free=last.free)
+        fits = each(climb, allowed)
+        for h in _overtook(rounds, effect, other):
+            share = h.values[more.gain] / max(h.values[own.gain], 1e-300)
+            begins = ({**last.values, more.gain: share * size}, {**last.values, **h.values})
+            fits.append(local_optima.highest(cases, longer, begins, held, last.density))
+        found = min(fits, key=lambda p: p.deviance, default=None)
+        if (
+            found is not None
+            and model_comparison.ahead(last, found) < model_comparison.UNSURE
+            and plausible(cases, found, last)
+        ):
+            out.append(Swap(effect, other, found))
+    return out
+
+
+def _widened(
+    cases: Sequence[Case], last: Point, swaps: Sequence[Swap], wider: Sequence[Swap], held: Mapping[str, float]
+) -> tuple[Point, list[Swap]]:  # fmt: skip
+    """The last model, or the likeliest that contains one of its effects if that is worth its parameters; and what
+    could as well stand in the place of what is named then.
+    """
+    likeliest = max(wider, key=lambda w: model_comparison.ahead(w.point, last), default=None)
+    if likeliest is not None:
+        found = likeliest.point
+        freed = local_optima.settle(cases, found.structure, found.values, held, last.density)
+        if model_comparison.ahead(freed, last) > 0.0:
+            others = [w for w in swaps if w.effect in freed.structure.named]
+            return freed, [*others, Swap(likeliest.rival, likeliest.effect, last)]
+    return last, [*swaps, *wider]
+
+
+def _levelled(cases: Sequence[Case], last: Point, candidates: Sequence[str]) -> list[Swap]:
+    """The last model with dead-bands that are equal and a constant torque in the place of what they differ by, where
+    that fits about as well: as long as the drive pushes, the torque only shifts both.
+    """
+    sides = ("dead_band_forward", "dead_band_reverse")
+    offered = "constant_offset" in candidates and "constant_offset" not in last.structure
+    if not offered or not set(sides) <= set(last.free):
+        return []
+    one, other = (last.free.index(n) for n in sides)
+    known, differ = last.robust_covariance, last.values[sides[1]] - last.values[sides[0]]
+    if differ**2 < CERTAIN**2 * (known[one, one] + known[other, other] - 2.0 * known[one, other]):
+        return []
+    longer, equal = last.structure.with_("constant_offset"), torque_regression.level(last.values)
+    mine, begun = preparation.with_steps(cases, longer), preparation.completed(longer, last.values | equal)
+    rows = screening.sided([equal], last.structure, last.values, "constant_offset")
+    free = (*last.free, *(n for n in rows[0] if n not in equal))
+    # The torque is held where it levels the dead-bands; they stay about equal unless something else makes up for it.
+    fits = each(lambda row: likelihood.climb(mine, longer, begun | row, last.density, free), rows)
+    found = min(fits, key=lambda p: p.deviance)
+    level = abs(found.values[sides[1]] - found.values[sides[0]]) < 0.5 * abs(differ)
+    stands = level and model_comparison.ahead(last, found) < model_comparison.UNSURE
+    return [Swap("dead_band", "constant_offset", found)] if stands else []
+
+
+def _bettered(this: Round, found: Point) -> Round:
+    """The round, with a better fit of the rival that has this structure: one that ended in a lesser valley would say
+    that what contains it does more.
+    """
+    better = [h.point.structure == found.structure and found.deviance < h.deviance for h in this.rivals]
+    rivals = (Hypothesis(h.added, found) if b else h for h, b in zip(this.rivals, better, strict=True))
+    return replace(this, rivals=tuple(rivals))
+
+
+def _plainer(cases: Sequence[Case], this: Round, held: Mapping[str, float]) -> Point:
+    """The winner, or what it brought along alone where that earns a place by itself.
+
+    What a specialised friction adds to plain friction then competes with everything else that may be beside it.
+    """
+    winner = this.rivals[0]
+    kept = this.before.structure.with_(*EFFECTS[winner.added[0]].includes)
+    if kept.named == this.before.structure.named:
+        return winner.point
+    plain = _fits(cases, winner.point, held, [kept])[0]
+    return plain if model_comparison.earns(this.before, plain) else winner.point
+
+
+def _sharp(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:
+    """The maximum near the point at the noise density that the recording asks for, and the cases as they are judged by
+    what the model foresees there.
+    """
+    mine = preparation.with_steps(cases, point.structure)
+    found = likelihood.fit(mine, point.structure, point.values, point.free, point.density)
+    for _ in range(FORESEEN):
+        mine, found = multistart.foreseen(mine, found)
+    return mine, found
+
+
+def _added(
+    cases: list[Case], best: Point, most: int, candidates: Sequence[str], held: Mapping[str, float]
+) -> tuple[list[Case], Point, list[Round]]:  # fmt: skip
+    """The model with up to so many more effects, each judged as what was found before it asks for; the rounds won."""
+    rounds: list[Round] = []
+    while len(rounds) < most and (open_ := [c for c in candidates if c not in best.structure]):
+        seen = selection_round.contest(cases, best, open_)
+        if not any(model_comparison.earned(best, h.point) > selection_round.HOPE * selection_round.PLAIN for h in seen):
+            break
+        this = selection_round.compete(cases, best, seen[: selection_round.NEAR], open_, held)
+        if not this.won or model_comparison.earned(this.before, this.rivals[0].point) < selection_round.PLAIN:
+            break
+        rounds.append(this)
+        cases, best = _sharp(cases, _plainer(cases, this, held))
+    return cases, best, rounds
+
+
+def _resumed(
+    found: Search, cases: list[Case], best: Point, most: int, candidates: Sequence[str], held: Mapping[str, float]
+) -> tuple[list[Case], Point, list[Round]]:  # fmt: skip
+    """The model with up to so many more effects that the usual filter sees now, judged as it asks for; the rounds won.
+
+    What is faint to the usual filter may be so because that had lost its way for lack of it, and then missed more.
+    """
+    settled = local_optima.settle(found.cases, best.structure, best.values, held, found.last.density)
+    usual = _moved(found.cases, settled, held)
+    grown, rounds = _grown(found.cases, usual, candidates, held, lambda sentence, share: None, most)
+    won = [this for this in rounds if this.won]
+    return (*_sharp(found.cases, grown), won) if won else (cases, best, [])
+
+
+def _carried(
+    cases: Sequence[Case], last: Point, swaps: Sequence[Swap], held: Mapping[str, float], more: Sequence[str] = (),
+    fewer: Sequence[str] = (),
+) -> list[Swap]:  # fmt: skip
+    """What could stand in the place of effects beside a last model that has gained some and lost others."""
+    out = []
+    for w in swaps:
+        if w.rival in last.structure or w.effect not in last.structure:
+            continue
+        if w.effect == "dead_band":
+            out += _levelled(cases, last, [w.rival])
+        else:
+            structure = w.point.structure.with_(*more).without(*fewer)
+            starts = ({**last.values, **w.point.values}, {**w.point.values, **last.values})
+            out.append(Swap(w.effect, w.rival, local_optima.highest(cases, structure, starts, held, last.density)))
+    return out
+
+
+def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) -> Search:
+    """The search, with what shows beside its last model to a filter that remembers for no longer than the recording
+    asks for, where meetings of motor and link are judged only if the model foresees them; as it was where nothing does.
+
+    Where a motor rattles the errors of a tenth of a second hang together, and a unit of deviance is worth a fiftieth of
+    what it is to such a filter: it sees a faint effect beside those that were found. But it forgets slow torques, and
+    how friction gives at rest weighs for it as much as what moves the axis: so it takes nothing back and decides
+    nothing about what had been found. And since it sees how the axis departs from every law, what it shows alone has
+    to earn as much more as what only a longer memory shows.
+    """
+    cases, known = _sharp(found.cases, found.last)
+    if known.density < local_optima.ALIKE * found.last.density and all(c.unforeseen is None for c in cases):
+        return found
+    room = MOST - len(set(known.structure.named) - set(found.first.structure.named))
+    cases, best, rounds = _added(cases, known, room, candidates, held)
+    if not rounds:
+        return found
+    cases, best, more = _resumed(found, cases, best, room - len(rounds), candidates, held)
+    rounds += more
+    known = local_optima.settle(cases, known.structure, known.values, held, best.density)
+    best, _, swaps = _weighed(cases, best, known, rounds, held)
+    new = [e for e in best.structure.named if e not in known.structure]
+    if not new:
+        return found
+    first = local_optima.settle(cases, found.first.structure, found.first.values, held, best.density)
+    # What had been found is judged beside what is new, each by itself.
+    lesser = _fits(cases, best, held, _smaller(best.structure, first.structure))
+    best = _unmet(cases, best)
+    wider = [w for w in _wider(cases, best, found.first.structure, candidates, held, rounds) if w.effect in new]
+    best, swaps = _widened(cases, best, swaps, wider, held)
+    added = [e for e in best.structure.named if e not in known.structure]
+    swaps += _carried(cases, best, found.swaps, held, more=added)
+    return Search(first, best, (*found.rounds, *rounds), tuple(cases), (*lesser, first), tuple(swaps))
+
+
+def renewed(found: Search, last: Point) -> Search:
+    """The search with another last model of the same structure, and what that is held against fitted anew."""
+    kept = local_optima.kept(last)
+    fits = _fits(found.cases, last, kept, _smaller(last.structure, found.first.structure))
+    swaps = _carried(found.cases, last, found.swaps, kept)
+    return replace(found, last=last, lesser=(*fits, found.first) if fits else (), swaps=tuple(swaps))
+
+
+def less(found: Search, effects: Sequence[str], values: Mapping[str, float]) -> Search:
+    """The search, its last model without some of its effects, from these values. What goes could as well have stood in
+    the place of what stays: of two that do the same it may be the other that fits better alone.
+    """
+    kept, structure = local_optima.kept(found.last), found.last.structure.without(*effects)
+    alone = local_optima.settle(found.cases, structure, values, kept, found.last.density)
+    last, lesser, swaps = _weighed(found.cases, alone, found.first, found.rounds, kept)
+    told = {(w.effect, w.rival) for w in swaps}
+    others = [w for w in found.swaps if (w.effect, w.rival) not in told]
+    swaps += _carried(found.cases, last, others, kept, fewer=effects)
+    return replace(found, last=last, lesser=tuple(lesser), swaps=tuple(swaps))

@@ -1,0 +1,159 @@
+"""What no fit and no choice may see: which part of the recordings that is, and what it says about a model.
+
+Of a lone recording it is the last part. What acts in that alone, a stop that is met late or a load that changes late,
+nothing before can teach; where the held-out part shows that, the middle is held out instead, and all begins anew.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.diagnosis import nonparametric, residual_torque
+from twin.diagnosis.residual_torque import Missing
+from twin.diagnosis.result import Trace
+from twin.estimation import likelihood, preparation
+from twin.estimation.likelihood import Case, Point
+from twin.fmi import python_fmu
+from twin.io.position_loop import own_loop
+from twin.io.recording import Recording, to_fit
+from twin.model.equations import timed
+from twin.model.fitted_model import Model
+
+#: Where in a lone recording the held-out part begins and ends, as shares of it.
+END, MIDDLE = (0.7, 1.0), (0.35, 0.65)
+#: Where the last model lacks so many times as much as in what was fitted, and more than this share of the acceleration,
+#: held-out data show what training did not: larger motion alone makes more of what a fit left. What goes with the
+#: acceleration itself may be less, as where a load grew by a fiftieth; and smaller motion makes less of it, as where a
+#: chirp ends slow.
+BEYOND, FAINT = 3.0, 0.02
+#: Three time constants, but no less and no more than this, a free run starts ahead of what is judged, s.
+_LEAD = (1.0, 5.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What is read from `begin` to `end` (s) of a recording, of which the rest only leads there."""
+
+    recording: Recording
+    begin: float = 0.0
+    end: float = math.inf
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """The stamps (N,) of the recording that belong to the part."""
+        return np.asarray((self.recording.time >= self.begin) & (self.recording.time <= self.end))
+
+    @property
+    def whole(self) -> bool:
+        """Whether the part is the recording."""
+        return bool(self.inside.all())
+
+
+def split(recordings: Sequence[Recording], where: tuple[float, float] = END) -> tuple[list[Recording], list[Part]]:
+    """What may be fitted, and what is held out: the recordings of that role, or a part of each if there are none.
+
+    Raises BadInput where nothing is to be fitted.
+    """
+    train = to_fit(recordings)
+    held_out = [Part(r) for r in recordings if r.role != "train"]
+    if held_out:
+        return train, held_out
+    parts = [Part(r, *(share * float(r.time[-1]) for share in where)) for r in train]
+    return [p.recording.without(p.begin, p.end) for p in parts], parts
+
+
+def _free_run(fmu: Path, part: Part, lead: float, closed: bool) -> np.ndarray:
+    """What the FMU says the sensor reads in the part, started there from the recorded state.
+
+    It starts `lead` seconds ahead, in what was fitted, so that lag, gap and delay line are filled and an error of the
+    first speed has died down when it counts. The run is then moved to the recorded position where the part begins,
+    because only what happens afterwards is judged.
+    """
+    recording = part.recording
+    begin = max(part.begin - lead, 0.0)
+    ran = python_fmu.replay(fmu, recording.part(begin, part.end), closed=closed)
+    seen = np.asarray(ran.velocity if recording.is_speed else ran.position_measured)[-int(part.inside.sum()) :]
+    if part.begin > 0.0 and not recording.is_speed:
+        recorded = recording.output[part.inside]
+        read = np.flatnonzero(np.isfinite(recorded))
+        seen = seen + (recorded[read[0]] - seen[read[0]] if len(read) else 0.0)
+    return seen
+
+
+def rerun(model: Model, recording: Recording, closed: bool = False) -> np.ndarray:
+    """What the sensor reads (N,) over the whole recording, free from its start or, `closed`, under the rig's own loop,
+    by the kernel. Raises BadInput where that loop is not known.
+    """
+    case = likelihood.prepare(recording, model.structure, closed)
+    (case,) = preparation.with_steps([replace(case, start=python_fmu.start_of(recording))], model.structure)
+    seen = likelihood.states(case, model.structure, model.values, 0.0).reading
+    return seen[own_loop(recording).stamps] if closed else seen
+
+
+def traces(before: Model, after: Model, parts: Sequence[tuple[str, Part]], closed: bool = False) -> list[Trace]:
+    """Both models beside each part, whose role comes first, free-running from the recorded input or, `closed`, under
+    the rig's own loop: what is held out through their FMUs, what was fitted by the kernel, which they equal.
+    """
+    clocked = any(timed(m.structure) for m in (before, after))
+    # Physics that depends on the time since the start must run from the start.
+    lead = math.inf if clocked else float(np.clip(3.0 / max(after.values.get("viscous_friction", 0.0), 1e-9), *_LEAD))
+    out = []
+    with tempfile.TemporaryDirectory() as folder:
+        fmus = [python_fmu.export(m, Path(folder) / f"{i}.fmu") for i, m in enumerate((before, after))]
+        for role, part in parts:
+            recording, inside = part.recording, part.inside
+            if role == "train":
+                runs = [rerun(m, recording, closed) for m in (before, after)]
+            else:
+                runs = [_free_run(fmu, part, lead, closed) for fmu in fmus]
+            out.append(Trace(recording.name, role, recording.time[inside], recording.output[inside], *runs))
+    return out
+
+
+def _quicker(here: Missing, there: Missing) -> float:
+    """How many times as large the acceleration is here as there, in the root mean square."""
+    return here.acceleration_size / max(there.acceleration_size, 1e-300)
+
+
+def unseen(cases: Sequence[Case], point: Point, held_out: Sequence[Part]) -> list[str]:
+    """What the last model lacks in held-out data alone: of physics that did not act before, nobody could tell.
+
+    Either a torque that goes with something, or one that is larger than all before, as where a stop is met.
+    """
+
+    def lacks(case: Case, part: Part) -> tuple[Missing, nonparametric.Leftover]:
+        (mine,) = preparation.with_steps([case], point.structure)
+        missing = residual_torque.missing_torque(mine, point.structure, point.values).between(part.begin, part.end)
+        return missing, nonparametric.examine(missing, case.recording.lever)
+
+    fitted = [lacks(c, Part(c.recording)) for c in cases]
+    known, loud = max(left.size for _, left in fitted), max(missing.size for missing, _ in fitted)
+    said = []
+    for part in held_out:
+        (case,) = preparation.prepare([part.recording], point.structure)
+        missing, left = lacks(case, part)
+        least = FAINT * missing.acceleration_size
+        if left.variables == ("acceleration",):
+            enough = BEYOND * max(own.size * min(_quicker(missing, there), 1.0) for there, own in fitted)
+        else:
+            enough = max(BEYOND * known, least)
+        if nonparametric.is_left(left) and left.size > enough:
+            size, goes = left.size, f"that goes with {' and '.join(left.variables)}"
+        elif missing.size > max(BEYOND * loud, least):
+            size, goes = missing.size, f"in the mean, the most at {missing.loudest:.3g} s"
+        else:
+            continue
+        since = "" if part.whole else f" from {part.begin:.3g} s on"
+        unit = part.recording.output_unit.removesuffix("/s")
+        said.append(
+            f"{part.recording.name}: held-out data{since} show something that what was fitted does not: a torque of "
+            f"{size:.2g} {unit}/s^2 {goes}."
+        )
+    return said

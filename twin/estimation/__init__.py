@@ -1,0 +1,1 @@
+"""Parameters from recordings: two-stage estimate, maximum likelihood, uncertainty."""

@@ -1,0 +1,116 @@
+"""When motor and link meet again, and whether a model can foresee it.
+
+Where the command falls slowly the motor lets go of the link by next to nothing, floats through the gap at a few
+hundredths of a radian per second and meets the other flank at a moment that noise decides. The filter runs on its
+mean, which meets it at one moment; the jolt that it expects and the one that comes are then two errors, each far
+larger than what the filter thinks possible, and an estimate would bend gap, dead-band and shares until they happen
+together. Three such crossings in a minute outweigh all the rest. So readings around a meeting whose moment is unsure
+by enough to be seen are followed by the filter, but not judged.
+
+Where in its gap a motor stands at the start nobody knows, and so the first meeting is not judged where others follow.
+
+Nor are those between turns of the command that follow each other faster than the gears come to rest: which these are is
+known before any model is, so that all models are judged by the same.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.estimation import likelihood
+from twin.estimation.likelihood import Case, Point
+
+#: Standard deviations of a meeting's moment, before and after it, in which nothing is judged.
+_WIDE = 2.0
+#: Where more than this share of a recording would not be judged, all of it is: its motor rattles without end.
+MOST = 0.25
+#: A command that turns again after less than this time, s, keeps a motor rattling; less than this share of the largest
+#: does not count as a turn; and so much of a recording is judged at least, or all of it.
+_RESTLESS, _IDLE, _ENOUGH = 0.25, 0.1, 0.3
+#: So many pushes there are at least where the first is not judged, and so many standard deviations of a reading show
+#: that it has moved the link.
+_PUSHES, _MOVED = 4, 5.0
+
+
+def _unforeseen(case: Case, point: Point) -> NDArray[np.bool_]:
+    """The stamps (N,) at which the model cannot know whether motor and link have met."""
+    time = case.drive.time
+    hidden = np.zeros(len(time), dtype=bool)
+    run = likelihood.states(case, point.structure, point.values, point.density)
+    half = 0.5 * point.values["backlash_gap"]
+    touching = np.abs(run.states[:, 2]) >= half * (1.0 - 1e-6)
+    speed = np.abs(run.states[:, 3] - run.states[:, 1])
+    left = np.flatnonzero(touching[:-1] & ~touching[1:])
+    met = np.flatnonzero(~touching[:-1] & touching[1:])
+    left = left[left < (met[-1] if len(met) else 0)]
+    last = met[np.searchsorted(met, left, "right")]
+    share = point.values["motor_share"]
+    variance = case.reading_variance * point.scale
+    density = point.density * variance * (0.5 / share**2 + 1.0)
+    alone = time[last + 1] - time[left]
+    spread = np.sqrt(density * alone**3 / 3.0)
+    unsure = np.minimum(spread / np.maximum(speed[last], 1e-9), alone)
+    error = share * (speed[last] if case.drive.speed else spread)
+    seen = (error > np.sqrt(variance)) & (unsure > case.step)
+    moment, reach = time[last + 1][seen], _WIDE * unsure[seen]
+    begin = np.searchsorted(time, moment - reach)
+    end = np.searchsorted(time, moment + reach + likelihood.memory_of(case, point.density))
+    for i, j in zip(begin.tolist(), end.tolist(), strict=True):
+        hidden[i:j] = True
+    return hidden
+
+
+def rattling(case: Case) -> NDArray[np.bool_] | None:
+    """The stamps (N,) between turns of the command that follow each other so soon that motor and link come to no rest
+    against each other; None where there are none, or hardly anything else.
+
+    Each bounce depends on the one before, and so does what was wrong about it: after a few of them the likelihood of
+    any model, the true one included, is a matter of chance, with valleys that lie a percent apart and teach nothing.
+    """
+    time, command = case.drive.time, case.drive.command
+    if case.drive.closed:
+        return None
+    pushed = np.flatnonzero(np.abs(command) > _IDLE * np.abs(command).max())
+    sign = np.sign(command[pushed])
+    turns = pushed[1:][sign[1:] != sign[:-1]]
+    hidden = np.zeros(len(time), dtype=bool)
+    for i, j in itertools.pairwise(turns.tolist()):
+        hidden[i:j] = time[j] - time[i] < _RESTLESS
+    return hidden if 0.0 < hidden.mean() <= 1.0 - _ENOUGH else None
+
+
+def beginning(case: Case) -> NDArray[np.bool_] | None:
+    """The stamps (N,) until the first push has brought motor and link together and to rest against each other; None
+    where few pushes follow, of which the first may say the most.
+
+    Half a gap more or less on the way there makes a jolt that any effect is welcome to explain.
+    """
+    time, command, measured = case.drive.time, case.drive.command, case.drive.measured
+    sign = np.sign(command) * (np.abs(command) > _IDLE * np.abs(command).max())
+    pushes = np.flatnonzero((sign != 0.0) & (np.diff(sign, prepend=0.0) != 0.0))
+    still = case.start[1] if case.drive.speed else case.start[0]
+    moved = np.flatnonzero(np.abs(measured - still) > _MOVED * np.sqrt(case.reading_variance))
+    if case.drive.closed or len(pushes) < _PUSHES or len(moved) == 0:
+        return None
+    return np.asarray(time < time[max(pushes[0], moved[0])] + _RESTLESS)
+
+
+def judged_throughout(cases: Sequence[Case]) -> list[Case]:
+    """The cases with every reading judged where the motor does not rattle."""
+    return [replace(c, unforeseen=None) for c in cases]
+
+
+def foreseeable(cases: Sequence[Case], point: Point) -> list[Case]:
+    """The cases, judged only where the model at this point can foresee whether motor and link touch."""
+    if not point.structure.toothed:
+        return judged_throughout(cases)
+    out = []
+    for case in cases:
+        hidden = _unforeseen(case, point)
+        out.append(replace(case, unforeseen=hidden if 0.0 < hidden.mean() <= MOST else None))
+    return out

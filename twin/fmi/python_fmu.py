@@ -1,0 +1,270 @@
+"""Models as FMUs: export, update, read back, and replay of a recording through one in FMPy."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import io
+import json
+import math
+import re
+import uuid
+import zipfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmu_src import pack
+from twin.codegen import c, python
+from twin.errors import BadInput
+from twin.fmi import compilers, model_description
+from twin.fmi.fmu_archive import Fmu, open_fmu
+from twin.fmi.fmu_instance import running
+from twin.io.files import check_free, put
+from twin.io.position_loop import own_loop
+from twin.io.recording import Recording, as_told, check_units, driven
+from twin.model import sensor
+from twin.model.fitted_model import INPUT_NAMES, Model, dumps, loads
+from twin.model.stepper import KNOWN
+from twin.model.variables import OUTPUTS, ROUND, delay_capacity, parameters_text, variables
+
+FloatArray = NDArray[np.float64]
+
+_MODEL = "resources/model.toml"
+_VALUES = "resources/parameters.txt"
+_DESCRIPTION = "modelDescription.xml"
+
+
+def interface(model: Model) -> dict[str, Any]:
+    """What the slave must know of the model, its numbers apart."""
+    shown = variables(model)
+    return {
+        "variables": [{k: getattr(v, k) for k in ("name", "reference", "causality", "min", "max")} for v in shown],
+        "known": list(KNOWN),
+        "parameters": [p.name for p in model.structure.parameters],
+        "delay_capacity": delay_capacity(model),
+        "longest_step": model.longest_step,
+        "round": ROUND,
+    }
+
+
+def _slave_text(model: Model) -> str:
+    """The slave's module: its behaviour, and the physics of the structure below it."""
+    return pack.SLAVE.read_text(encoding="utf-8") + python.write(model.structure)
+
+
+def identity(model: Model) -> model_description.Identity:
+    """Names hashed from all that the FMU is, numbers apart: an update must not change them."""
+    listed = [asdict(v) | {"start": None} for v in variables(model)]
+    said = [interface(model), listed, model.sample_time, importlib.metadata.version("pythonfmu")]
+    text = json.dumps(said) + _slave_text(model) + c.library(model.structure)
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    return model_description.of_axis(model, f"axis_{digest[:12]}", f"{{{uuid.UUID(digest[:32])}}}")
+
+
+def described(model: Model) -> bytes:
+    """modelDescription.xml of the FMU that needs Python."""
+    written = model_description.fmi2(identity(model), variables(model), (), model_description.NO_SOLVER)
+    return model_description.through_python(written)
+
+
+def export(model: Model, out: Path, force: bool = False) -> Path:
+    """Write the model's FMU (FMI 2.0 co-simulation, through pythonfmu). Raises BadInput.
+
+    Where a C compiler is at hand, the stepper is inside compiled as well, for Linux x86_64: a step that costs tens of
+    microseconds in Python then costs one. Where that does not load, the same text runs in Python.
+    """
+    check_free(out, force)
+    resources: dict[str, str | bytes] = {
+        "interface.json": json.dumps(interface(model), indent=1) + "\n",
+        "parameters.txt": parameters_text(model),
+        "model.toml": dumps(model),
+    }
+    who = identity(model).identifier
+    stepper = f"{who}_stepper"
+    library = compilers.for_linux(c.library(model.structure), stepper)
+    if library is not None:
+        resources[f"{stepper}.so"] = library
+    put(out, pack.pack(_slave_text(model), who, resources, described(model)))
+    return out
+
+
+def read_model(fmu: Path) -> Model:
+    """The model inside an FMU of ours. Raises BadInput."""
+    opened = open_fmu(fmu)
+    try:
+        text = opened.read(_MODEL).decode("utf-8")
+    except UnicodeDecodeError:
+        raise BadInput(f"{fmu}: {_MODEL} is not UTF-8 text: export the FMU again") from None
+    return loads(text, f"{fmu}: {_MODEL}")
+
+
+# ---- update ----
+
+
+def _differences(old: Model, new: Model) -> str:
+    parts = []
+    gone = [i for i in old.structure.ids if i not in new.structure]
+    more = [i for i in new.structure.ids if i not in old.structure]
+    if gone:
+        parts.append(f"the FMU has {', '.join(gone)}, which the model lacks")
+    if more:
+        parts.append(f"the model has {', '.join(more)}, which the FMU lacks")
+    if old.axis_unit != new.axis_unit:
+        parts.append(f"the FMU's axis is in {old.axis_unit}, the model's in {new.axis_unit}")
+    if old.input_unit != new.input_unit:
+        parts.append(f"the FMU's input is in {old.input_unit}, the model's in {new.input_unit}")
+    return "; ".join(parts)
+
+
+def _with_starts(fmu: Fmu, text: bytes, model: Model) -> bytes:
+    """The description with other start values; every other byte stays. Raises BadInput."""
+    described = text.decode("utf-8")
+    for variable in variables(model):
+        if variable.causality != "parameter":
+            continue
+        element = re.compile(
+            rf"<(ScalarVariable|Float64)\b[^<]*?\bname={re.escape(quoteattr(variable.name))}[^<]*(?:<Real\b[^<]*)?"
+        )
+        found = element.search(described)
+        start = found and re.search(r'\bstart="[^"]*"', found.group())
+        if found is None or not start:
+            raise BadInput(f"{fmu.path} has no parameter {variable.name}: export it again with this version")
+        first = found.start() + start.start()
+        described = described[:first] + f'start="{variable.start!r}"' + described[found.start() + start.end() :]
+    return described.encode("utf-8")
+
+
+def update(fmu: Path, model: Model, out: Path | None = None) -> Path:
+    """Write the model's parameters into an FMU of ours, of either kind; every other byte stays as it is.
+
+    Without `out` the FMU itself is replaced, whole or not at all. Raises BadInput.
+    """
+    opened = open_fmu(fmu)
+    different = _differences(read_model(fmu), model)
+    if different:
+        raise BadInput(f"{fmu} has another structure: {different}; make a new FMU with twin export")
+    fresh = {_MODEL: dumps(model).encode(), _VALUES: parameters_text(model).encode()}
+    fresh[_DESCRIPTION] = _with_starts(opened, opened.read(_DESCRIPTION), model)
+    target = io.BytesIO()
+    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(target, "w") as new:
+        new.comment = old.comment
+        for info in old.infolist():
+            content = fresh.get(info.filename)
+            kept = b"" if info.is_dir() else opened.read(info.filename, info.file_size)
+            new.writestr(info, kept if content is None else content)
+    put(out or fmu, target.getvalue())
+    return out or fmu
+
+
+# ---- replay ----
+
+_READS, _MOVES = OUTPUTS.index("position_measured"), OUTPUTS.index("velocity")
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """What the FMU did at the recording's stamps; all arrays have shape (N,)."""
+
+    time: FloatArray  # s
+    input: FloatArray  # that drove the FMU from here on
+    position: FloatArray
+    velocity: FloatArray
+    position_measured: FloatArray
+
+    def output(self, recording: Recording) -> FloatArray:
+        """What stands against the recording's output (N,)."""
+        return self.velocity if recording.is_speed else self.position_measured
+
+    def rmse(self, recording: Recording) -> float:
+        """Root mean square error over the readings that are there, in the output's unit."""
+        error = self.output(recording) - recording.output
+        return float(np.sqrt(np.nanmean(error**2)))
+
+    def nrmse_percent(self, recording: Recording) -> float:
+        """rmse over the range of the recorded output, percent."""
+        span = float(np.nanmax(recording.output) - np.nanmin(recording.output))
+        return 100.0 * self.rmse(recording) / span if span > 0.0 else math.inf
+
+
+def start_of(recording: Recording, window: float = 0.02) -> tuple[float, float]:
+    """Position and velocity at the first stamp, from the readings of the first `window` s.
+
+    They lie on a line, or on a parabola where that is clearly better: a line through an axis that sets off would
+    start it faster than it was. A speed that is within what noise and resolution make of a resting axis is taken as
+    rest. A recording of speed begins at position zero.
+    """
+    seen = np.flatnonzero(np.isfinite(recording.output))
+    if seen.size == 0:
+        raise BadInput(f"{recording.name}: no reading is left, so there is nothing to compare with")
+    near = seen[recording.time[seen] <= max(recording.time[seen[0]] + window, recording.time[seen[:5][-1]])]
+    time, output = recording.time[near] - recording.time[0], recording.output[near]
+    if recording.is_speed:
+        return 0.0, float(np.mean(output))
+    if len(near) < 3:
+        return float(output[0]), 0.0
+    for degree in (2, 1):
+        powers = time[:, None] ** np.arange(degree + 1)
+        found, _, rank, _ = np.linalg.lstsq(powers, output, rcond=None)
+        spare = len(near) - degree - 1
+        if rank <= degree or spare < 2 * degree - 1:
+            continue
+        noise = max(float(np.sum((output - powers @ found) ** 2)) / spare, recording.resolution**2 / 12.0)
+        error = np.sqrt(noise * np.diag(np.linalg.inv(powers.T @ powers)))
+        if abs(found[degree]) > (4.0 if degree == 2 else 3.0) * error[degree]:
+            return float(found[0]), float(found[1])
+    return float(output.mean()), 0.0
+
+
+def replay(fmu: Path, recording: Recording, start: tuple[float, float] | None = None, closed: bool = False) -> Replay:
+    """Drive the recorded input through the FMU in FMPy, one communication step from stamp to stamp.
+
+    `closed` closes the rig's own loop around the FMU instead: the input is what that commands, from the recorded
+    reference and what the FMU's sensor reads, in steps as short as the loop's. `start` is position and velocity at the
+    first stamp; where not given, those at which what was read first is read, by the sensor of the FMU's model. Known
+    quantities of the recording are set.
+    A duty drives in proportion to the supply where that is logged, by the nominal one that the FMU's model knows.
+    Raises BadInput where the FMU refuses or its results are NaN.
+    """
+    opened = open_fmu(fmu)
+    model = read_model(fmu) if _MODEL in opened.members else None
+    recording = driven(as_told(recording, model.known if model and "supply" in recording.optional else {}))
+    shown = opened.description.findall("ModelVariables/*")
+    names = {node.get("name") for node in shown}
+    inputs = [node.get("name", "") for node in shown if node.get("causality") == "input"]
+    if len(inputs) != 1:
+        raise BadInput(f"{fmu} has {len(inputs)} inputs, not one: give an FMU that twin export wrote")
+    units = {name: unit for unit, name in INPUT_NAMES.items()}
+    check_units(recording, str(fmu), units.get(inputs[0], ""), opened.unit("position"))
+    if start is None:
+        position, velocity = start_of(recording)
+        position = sensor.position(model.structure, model.values, position) if model else position
+    else:
+        position, velocity = start
+    values = {"position_start": float(position), "velocity_start": float(velocity)}
+    values |= {name: float(value) for name, value in recording.known.items() if name in KNOWN and name in names}
+    loop = own_loop(recording) if closed else None
+    if loop is None:
+        time, command = recording.time.tolist(), recording.input.tolist()
+    else:
+        time, command = loop.time.tolist(), [0.0] * len(loop.time)
+    seen = np.empty((len(time), len(OUTPUTS)))
+    with running(opened, inputs, OUTPUTS) as instance:
+        instance.start(values, time[0])
+        seen[0] = instance.read()
+        for i in range(len(time) - 1):
+            if loop is not None:
+                command[i] = loop.command(i, seen[i, _READS], seen[i, _MOVES])
+            seen[i + 1] = instance.step(time[i], time[i + 1] - time[i], command[i : i + 1])
+    if not np.isfinite(seen).all():
+        at = time[int(np.argmin(np.isfinite(seen).all(axis=1)))]
+        raise BadInput(f"{fmu}: the simulation is no longer a number at {at:g} s: check the parameters")
+    commanded = np.array(command)
+    if loop is not None:
+        commanded[-1] = loop.command(len(time) - 1, seen[-1, _READS], seen[-1, _MOVES])
+        seen, commanded = seen[loop.stamps], commanded[loop.stamps]
+    return Replay(recording.time, commanded, *(np.ascontiguousarray(column) for column in seen.T))

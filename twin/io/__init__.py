@@ -1,0 +1,1 @@
+"""Files in and out: recordings, rig files, manifests, faults of a log."""

@@ -1,0 +1,551 @@
+"""A recording of one axis, measured or simulated alike, and how to load it from what lies on disk."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from twin.errors import BadInput
+from twin.io.faults import (
+    BoolArray,
+    Fault,
+    find_contradicted,
+    find_gaps,
+    find_held,
+    find_missing,
+    find_outliers,
+    find_resolution,
+    unwrap,
+)
+from twin.io.manifest import Entry, entries_of
+from twin.io.rig_file import Clock, Column, LoopRig, Rig, guess_rig, guess_time, read_rig
+from twin.io.tables import Table, open_table
+
+__all__ = [
+    "Fault", "FloatArray", "Loop", "Recording", "Rig", "command_of", "driven", "known_quantities", "load", "read_rig",
+]  # fmt: skip
+
+FloatArray = npt.NDArray[np.float64]
+
+_LEAST_SAMPLES = 50
+#: A sample time, s, a duty, %, and a pause, s, beyond which a unit is wrong or a cell is bad.
+_SLOWEST, _FULL, _PAUSE = 0.5, 1e4, 1e5
+_NOMINAL = "supply_nominal"
+#: Known quantities that mean something to twin; others may be there for the gains of a loop.
+MEANT = ("inertia", "mass", _NOMINAL, "payload_mass", "arm_length", "arm_mass", "payload_inertia", "payload_moment")
+_INPUT_WORDS = {"%": "duty", "V": "voltage", "A": "current", "N*m": "torque", "N": "force"}
+_COUNTERS = tuple(float(2**bits) for bits in (8, 10, 12, 14, 16, 24, 32))
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The rig's own position loop, in the units of the recording.
+
+    "P": input = gain * (reference - output). "P-P": input = kv * (kp * (reference - output) - velocity).
+    """
+
+    law: str  # "P" | "P-P"
+    gain: float | None = None  # input_unit per output_unit
+    kp: float | None = None  # 1/s
+    kv: float | None = None  # input_unit per (output_unit/s)
+    limit: float | None = None  # input_unit
+    reference_rate_limit: float | None = None  # output_unit/s
+    minimum: float | None = None  # input_unit; the smallest input that the loop gives other than 0
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One recording: input held from stamp to stamp, output as it was read. All arrays have shape (N,).
+
+    `output` is NaN where a reading is left out (`faults` says why); `input` is finite everywhere.
+    `resolution` is the size of one encoder count in `output_unit`, 0.0 when the output is not quantised.
+    `optional` holds motor_position (rad or m, NaN where left out), speed, current (A), supply (V),
+    temperature (K) and, with a loop, reference (output_unit), where the recording has them.
+    """
+
+    name: str
+    time: FloatArray  # s, strictly increasing, from 0
+    input: FloatArray
+    output: FloatArray
+    input_unit: str  # "%", "V", "A", "N*m", "N"
+    output_unit: str  # "rad", "m", "rad/s", "m/s"
+    resolution: float = 0.0
+    role: str = "train"  # "train" | "holdout"
+    known: Mapping[str, float] = field(default_factory=dict)
+    optional: Mapping[str, FloatArray] = field(default_factory=dict)
+    loop: Loop | None = None
+    faults: tuple[Fault, ...] = ()
+
+    def __repr__(self) -> str:
+        quantity = "speed" if self.is_speed else "position"
+        step = f"{1e3 * float(np.median(np.diff(self.time))):.3g} ms" if self.time.size > 1 else "one sample"
+        count = f" ({self.resolution:.3g} per count)" if self.resolution else ""
+        left = int(np.count_nonzero(np.isnan(self.output)))
+        readings = "no readings" if left == 0 else "1 reading" if left == 1 else f"{left} readings"
+        return (
+            f"{self.time[-1] if self.time.size else 0.0:.1f} s at {step}, "
+            f"{_INPUT_WORDS.get(self.input_unit, 'input')} in {self.input_unit}, "
+            f"{quantity} in {self.output_unit}{count}, {readings} left out"
+        )
+
+    @property
+    def is_speed(self) -> bool:
+        """True when the output is a speed, not a position."""
+        return self.output_unit.endswith("/s")
+
+    @property
+    def lever(self) -> float:
+        """What a radian at the gears makes at the output: 1 on a turning axis, else about the radius of a pinion, m."""
+        return 0.02 if self.output_unit.startswith("m") else 1.0
+
+    def part(self, start: float, end: float) -> "Recording":
+        """The samples from `start` to `end` (s, both included), with time from 0 again.
+
+        Raises BadInput when fewer than two samples lie in the window.
+        """
+        keep = (self.time >= start) & (self.time <= end)
+        if np.count_nonzero(keep) < 2:
+            raise BadInput(
+                f"{self.name}: no samples from {start:g} to {end:g} s; the recording lasts {self.time[-1]:g} s"
+            )
+        origin, last = self.time[keep][0], self.time[keep][-1]
+        return replace(
+            self,
+            name=f"{self.name} ({start:g} to {end:g} s)",
+            time=self.time[keep] - origin,
+            input=self.input[keep],
+            output=self.output[keep],
+            optional={key: values[keep] for key, values in self.optional.items()},
+            faults=tuple(
+                replace(f, start=max(f.start, origin) - origin, end=min(f.end, last) - origin)
+                for f in self.faults
+                if f.end >= origin and f.start <= last
+            ),
+        )
+
+    def without(self, start: float, end: float) -> "Recording":
+        """The recording without its readings from `start` to `end` (s, both included), up to the last that is left.
+
+        Raises BadInput when none is left.
+        """
+        left_out = (self.time >= start) & (self.time <= end)
+        kept = np.flatnonzero(~left_out & np.isfinite(self.output))
+        if len(kept) == 0:
+            raise BadInput(f"{self.name}: no readings but from {start:g} to {end:g} s")
+        shorter = replace(self, output=np.where(left_out, np.nan, self.output)).part(0.0, float(self.time[kept[-1]]))
+        return replace(shorter, name=f"{self.name} (without {start:.3g} to {end:.3g} s)")
+
+
+def known_quantities(recording: Recording) -> dict[str, float]:
+    """Inertia and first moment of the payload about the axis, from what the user knows of it."""
+    known = recording.known
+    mass, arm = known.get("payload_mass", 0.0), known.get("arm_length", 0.0)
+    rod = known.get("arm_mass", 0.0)
+    return {
+        "payload": known.get("payload_inertia", mass * arm**2 + rod * arm**2 / 3.0),
+        "moment": known.get("payload_moment", mass * arm + rod * arm / 2.0),
+    }
+
+
+def told_of(recording: Recording) -> dict[str, float]:
+    """What a model keeps of what is known: the axis' inertia (kg m^2), of a linear axis its mass (kg), and the supply
+    (V) at which a duty drives as the input gain says.
+    """
+    names = {"inertia": "mass" if recording.output_unit.startswith("m") else "inertia", _NOMINAL: _NOMINAL}
+    return {ours: recording.known[theirs] for ours, theirs in names.items() if theirs in recording.known}
+
+
+def command_of(recording: Recording) -> FloatArray:
+    """The input as it acts: a duty drives in proportion to the supply where that is logged."""
+    supply = recording.optional.get("supply")
+    if supply is None or recording.input_unit != "%":
+        return recording.input
+    nominal = recording.known.get(_NOMINAL, float(np.nanmedian(supply)))
+    return recording.input * np.where(np.isfinite(supply), supply, nominal) / nominal
+
+
+def as_told(recording: Recording, known: Mapping[str, float]) -> Recording:
+    """The recording as a model sees it that knows these: with its own nominal supply, where it has one."""
+    if _NOMINAL not in known:
+        return recording
+    return replace(recording, known={**recording.known, _NOMINAL: known[_NOMINAL]})
+
+
+def _share_supply(recordings: list[Recording]) -> list[Recording]:
+    """One axis, one supply at which a duty drives as the input gain says: were it each recording's own, a battery that
+    runs down would be another gain in each.
+    """
+    logged = [float(np.nanmedian(r.optional["supply"])) for r in recordings if "supply" in r.optional]
+    if not logged:
+        return recordings
+    return [replace(r, known={_NOMINAL: float(np.median(logged)), **r.known}) for r in recordings]
+
+
+def driven(recording: Recording) -> Recording:
+    """The recording as an FMU of its axis is driven: the command as it acts, and what the laws know of the payload."""
+    return replace(recording, input=command_of(recording), known={**known_quantities(recording), **recording.known})
+
+
+def check_units(recording: Recording, where: str, input_unit: str, axis_unit: str) -> None:
+    """Raises BadInput where a model or an FMU is in other units than the recording; an empty unit is not known."""
+    pairs = ((input_unit, recording.input_unit, "input"), (axis_unit, recording.output_unit.removesuffix("/s"), "axis"))
+    for theirs, ours, what in pairs:
+        if theirs and theirs != ours:
+            raise BadInput(
+                f"{where} has its {what} in {theirs}, {recording.name} in {ours}: give a recording of the same rig, or "
+                "the rig file that says what its columns are"
+            )
+
+
+def to_fit(recordings: Sequence[Recording]) -> list[Recording]:
+    """The recordings that may be fitted. Raises BadInput where there are none."""
+    train = [r for r in recordings if r.role == "train"]
+    if not train:
+        raise BadInput("every recording has the role holdout: give at least one to fit")
+    return train
+
+
+def faults_of(recordings: Sequence[Recording]) -> list[dict[str, Any]]:
+    """What is wrong with the recordings, as JSON of every command says it."""
+    return [{"recording": r.name, **vars(f)} for r in recordings for f in r.faults]
+
+
+def load(paths: Sequence[Path], rig: Path | None = None) -> tuple[list[Recording], Rig]:
+    """Load recordings and manifests, all with the same rig.
+
+    `paths`: recordings or manifests (a CSV with a column `file`, relative to the manifest; optional
+    columns `role`, `start` and `end` in s to cut a window, and numeric ones, which are known quantities of
+    that recording). `rig`: the rig file; without one, the rig.toml beside the first path, else a guess
+    from the column names.
+
+    Raises BadInput for anything that cannot be used, also when input or output never changes in any of the
+    recordings. In a set, single recordings may stand still: that is how a dead band shows.
+    """
+    if not paths:
+        raise BadInput("no recording given; name at least one file")
+    entries = [entry for path in paths for entry in entries_of(Path(path))]
+    chosen = _choose_rig([Path(paths[0]), entries[0].path], rig)
+    if rig is None:
+        _check_one_rig([Path(p) for p in paths])
+    tables: dict[Path, Table] = {}
+    recordings = []
+    for entry in entries:
+        table = tables.get(entry.path) or open_table(entry.path)
+        tables = {entry.path: table}  # windows of one file stand together in a manifest
+        if chosen is None:
+            chosen = _guess(table)
+        recordings.append(_recording(table, chosen, entry))
+    assert chosen is not None
+    _check_moves(recordings)
+    return _share_supply(_share_resolution(recordings, chosen.output.resolution)), chosen
+
+
+def _choose_rig(beside: Sequence[Path], rig: Path | None) -> Rig | None:
+    if rig is not None:
+        return read_rig(rig)
+    for path in beside:
+        if (path.parent / "rig.toml").is_file():
+            return read_rig(path.parent / "rig.toml")
+    return None
+
+
+def _check_one_rig(paths: Sequence[Path]) -> None:
+    """Raises BadInput where rig files beside the recordings say different things."""
+    files = [f for f in dict.fromkeys(path.parent / "rig.toml" for path in paths) if f.is_file()]
+    for other in files[1:]:
+        if other.read_bytes() != files[0].read_bytes():
+            raise BadInput(f"{files[0]} and {other} differ: name the one that holds for all recordings with --rig")
+
+
+def _guess(table: Table) -> Rig:
+    rig = guess_rig(table.name, table.names, table.clock is not None, {})
+    (drive,) = table.columns([rig.input.name])
+    peak = float(np.nanmax(np.abs(drive), initial=0.0))
+    return guess_rig(table.name, table.names, table.clock is not None, {rig.input.name: peak})
+
+
+def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
+    clock = _clock(table, rig.time)
+    wanted = _wanted(table, rig, clock)
+    raw = dict(zip(wanted, table.columns(wanted), strict=True))
+    time, rows, faults = _time(table, clock, raw, rig)
+    raw = {name: values[rows] for name, values in raw.items()}
+    drive, held = _hold(time, _convert(raw[rig.input.name], rig.input), "input", table.name)
+    faults += held
+    reading = _convert(raw[rig.output.name], rig.output)
+    if not np.isfinite(reading).any():
+        raise BadInput(f"{table.name}: column '{rig.output.name}' holds no number")
+    optional: dict[str, FloatArray] = {}
+    for key, column in rig.optional.items():
+        optional[key], found = _optional(time, key, _convert(raw[column.name], column), column, table.name)
+        faults += found
+    output, resolution, found = _clean(time, reading, rig.output, optional.get("speed"))
+    faults += found + find_gaps(time)
+    known = _known(rig, table, entry)
+    if rig.loop is not None:
+        optional["reference"], found = _hold(
+            time, _convert(raw[rig.loop.reference], rig.output), "reference", table.name
+        )
+        faults += found
+    _check_sense(table, rig, clock, time, drive, rows)
+    recording = Recording(
+        name=Path(table.name).name,
+        time=time,
+        input=drive,
+        output=output,
+        input_unit=rig.input.unit,
+        output_unit=rig.output.unit,
+        resolution=resolution,
+        role=entry.role,
+        known=known,
+        optional=optional,
+        loop=None if rig.loop is None else _loop(rig.loop, rig, table, entry),
+        faults=tuple(
+            replace(f, start=float(f.start), end=float(f.end)) for f in sorted(faults, key=lambda f: (f.start, f.kind))
+        ),
+    )
+    if entry.start is not None or entry.end is not None:
+        recording = recording.part(entry.start or 0.0, math.inf if entry.end is None else entry.end)
+    if recording.time.size < _LEAST_SAMPLES:
+        raise BadInput(
+            f"{table.name}: only {recording.time.size} samples; "
+            f"at least {_LEAST_SAMPLES} are needed to say anything, record for longer"
+        )
+    return recording
+
+
+def _check_sense(
+    table: Table, rig: Rig, clock: Clock, time: FloatArray, drive: FloatArray, rows: npt.NDArray[np.intp]
+) -> None:
+    """Raises BadInput for numbers that no axis makes, which a wrong unit or a bad cell does."""
+    steps = np.diff(time)
+    step = float(np.median(steps)) if steps.size else 0.0
+    if step > _SLOWEST:
+        said = f"column '{clock.column}'" if clock.column is not None else "sample_time"
+        raise BadInput(
+            f"{table.name}: {said} makes {step:g} s from sample to sample, too slow to see an axis move; "
+            f'if it is in ms, say unit = "ms" in [time] of {"a rig.toml" if rig.assumed else rig.name}'
+        )
+    if steps.max(initial=0.0) > _PAUSE:
+        row = int(rows[int(np.argmax(steps)) + 1])
+        raise BadInput(
+            f"{table.name}: {table.where(row)}, column '{clock.column}': {steps.max():.6g} s after the sample before; "
+            "correct that stamp, or split the recording"
+        )
+    beyond = np.flatnonzero(np.abs(drive) > _FULL)
+    if rig.input.unit == "%" and beyond.size:
+        raise BadInput(
+            f"{table.name}: {table.where(int(rows[beyond[0]]))}, column '{rig.input.name}': {drive[beyond[0]]:.6g} % "
+            "is far beyond full drive; correct or empty it, or give [input] full_scale in the rig file"
+        )
+
+
+def _clock(table: Table, clock: Clock) -> Clock:
+    """The clock with its column settled: as the rig file says, else the format's own stamps, else by name."""
+    if clock.column is not None or clock.sample_time is not None:
+        return clock
+    found = Clock(table.clock) if table.clock is not None else guess_time(table.names)
+    if found is None:
+        raise BadInput(
+            f"{table.name}: no time column is named; give [time] column or sample_time in the rig file; "
+            f"columns are: {', '.join(table.names)}"
+        )
+    return found
+
+
+def _wanted(table: Table, rig: Rig, clock: Clock) -> list[str]:
+    """Names of the columns to read, the output first (its clock is the clock of the recording). Raises BadInput where
+    one is missing.
+    """
+    named = {"output": rig.output.name, "input": rig.input.name}
+    named |= {f"optional.{key}": column.name for key, column in rig.optional.items()}
+    named |= {"loop": rig.loop.reference} if rig.loop is not None else {}
+    named |= {"time": clock.column} if clock.column is not None else {}
+    for role, name in named.items():
+        if name not in table.names and name != table.clock:
+            near = get_close_matches(name, table.names, 1) or [n for n in table.names if n.lower() == name.lower()]
+            meant = f"; did you mean '{near[0]}'?" if near else ""
+            says = f"which {rig.name} says is its [{role}]" if not rig.assumed else f"taken for the {role} by its name"
+            raise BadInput(
+                f"{table.name}: no column '{name}', {says}{meant}; columns are: {', '.join(table.names)}; correct the "
+                "rig file, or give one with --rig"
+            )
+    return list(dict.fromkeys(named.values()))
+
+
+def _time(
+    table: Table, clock: Clock, raw: Mapping[str, FloatArray], rig: Rig
+) -> tuple[FloatArray, npt.NDArray[np.intp], list[Fault]]:
+    """Seconds from 0, strictly increasing, the rows that they belong to, and faults of the clock."""
+    column = clock.column
+    if column is None:
+        rows = np.arange(len(raw[rig.output.name]))
+        return rows.astype(np.float64) * (clock.sample_time or 1.0), rows, []
+    stamps = raw[column]
+    rows = np.flatnonzero(np.isfinite(stamps))
+    if rows.size < 2:
+        raise BadInput(f"{table.name}: column '{column}' holds fewer than two time stamps")
+    time: FloatArray = np.asarray((stamps[rows] - stamps[rows[0]]) * clock.factor, dtype=np.float64)
+    step = np.diff(time)
+    back = np.flatnonzero(step < 0)
+    if back.size:
+        row = int(rows[back[0] + 1])
+        raise BadInput(
+            f"{table.name}: {table.where(row)}: time goes backwards to {stamps[row]:.9g} from "
+            f"{stamps[rows[back[0]]]:.9g} in column '{column}'; sort the rows or split the recording"
+        )
+    same = np.flatnonzero(step == 0)
+    if same.size > 0.05 * step.size:
+        raise BadInput(
+            f"{table.name}: {table.where(int(rows[same[0] + 1]))}: {same.size} time stamps in column "
+            f"'{column}' come twice; its resolution is too coarse, give [time] sample_time instead"
+        )
+    faults = [
+        Fault("clock", time[k], time[k], f"The stamp {time[k]:.4f} s comes twice; one sample is dropped.") for k in same
+    ]
+    keep = np.concatenate(([True], step > 0))
+    if rows.size < stamps.size:
+        count = stamps.size - rows.size
+        faults.append(Fault("missing", 0.0, time[-1], f"{count} samples without a time stamp are dropped."))
+    return time[keep], rows[keep], faults
+
+
+def _convert(raw: FloatArray, column: Column) -> FloatArray:
+    with np.errstate(over="ignore", invalid="ignore"):
+        values = (raw - column.offset) * (column.scale * column.factor) + column.zero
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def _hold(time: FloatArray, values: FloatArray, what: str, name: str) -> tuple[FloatArray, list[Fault]]:
+    """The last value held where one is missing."""
+    good = np.isfinite(values)
+    if not good.any():
+        raise BadInput(f"{name}: the {what} holds no number")
+    index = np.maximum.accumulate(np.where(good, np.arange(values.size), -1))
+    index[index < 0] = np.flatnonzero(good)[0]
+    return values[index], find_missing(time, values, what)
+
+
+def _optional(
+    time: FloatArray, key: str, values: FloatArray, column: Column, name: str
+) -> tuple[FloatArray, list[Fault]]:
+    words = key.replace("_", " ")
+    if key == "motor_position":
+        cleaned, _, faults = _clean(time, values, column, None)
+        return cleaned, [replace(f, says=f"Motor position: {f.says}") for f in faults]
+    faults = find_missing(time, values, words)
+    spikes = np.zeros(values.size, dtype=bool)
+    if key != "speed":  # a reported speed is too coarse and too noisy to be judged
+        spikes = find_outliers(values, find_resolution(values))
+    faults += _outliers(time, values, spikes, words)
+    held, _ = _hold(time, np.where(spikes, np.nan, values), words, name)
+    return held, faults
+
+
+def _outliers(time: FloatArray, values: FloatArray, spikes: BoolArray, what: str) -> list[Fault]:
+    return [
+        Fault("outlier", t, t, f"The {what} jumps to {value:.4g} at {t:.3f} s and comes back.")
+        for t, value in zip(time[spikes], values[spikes], strict=True)
+    ]
+
+
+def _clean(
+    time: FloatArray, reading: FloatArray, column: Column, speed: FloatArray | None
+) -> tuple[FloatArray, float, list[Fault]]:
+    """The output with NaN where it is not to be believed, its resolution, and why."""
+    faults = find_missing(time, reading, "output")
+    resolution = column.resolution if column.resolution is not None else find_resolution(reading)
+    what = "output"
+    output = reading
+    if column.turn is not None:
+        size = abs(column.factor * column.scale)
+        counters = tuple(n * size for n in _COUNTERS) if column.counts else ()
+        output, wraps = unwrap(time, output, (column.turn * size, *counters), resolution)
+        faults += wraps
+    spikes = find_outliers(output, resolution)
+    faults += _outliers(time, output, spikes, what)
+    output = np.where(spikes, np.nan, output)
+    if not column.unit.endswith("/s"):
+        frozen, out = find_held(time, output, resolution)
+        if speed is not None:
+            contradicted, more = find_contradicted(time, output, speed, resolution)
+            seen = [(f.start, f.end) for f in frozen]
+            frozen += [f for f in contradicted if not any(f.start < b and a < f.end for a, b in seen)]
+            out |= more
+        faults += frozen
+        output = np.where(out, np.nan, output)
+    return output, resolution, faults
+
+
+def _known(rig: Rig, table: Table, entry: Entry) -> dict[str, float]:
+    where = f"{rig.name} [known]"
+    known = {key: _lookup(value, table, entry, f"{where} {key}") for key, value in rig.known.items()}
+    known = {**known, **entry.known}
+    for key, value in known.items():
+        said = where if key in rig.known else f"{table.name}: manifest"
+        near = [] if key in MEANT else get_close_matches(key, MEANT, 1, 0.85)
+        if near:
+            raise BadInput(f"{said}: unknown quantity '{key}'; did you mean '{near[0]}'?")
+        if value < 0.0 and key in MEANT and key != "payload_moment":
+            raise BadInput(f"{said}: {key} = {value:g} must not be negative")
+    return known
+
+
+def _lookup(value: float | str, table: Table, entry: Entry, where: str) -> float:
+    """A number, or the manifest column or scalar of the file that a name stands for."""
+    if not isinstance(value, str):
+        return value
+    if value in entry.known:
+        return entry.known[value]
+    if value in table.scalars:
+        return table.scalars[value]
+    names = ", ".join([*entry.known, *table.scalars]) or "none"
+    raise BadInput(
+        f"{where} = '{value}' is neither a column of the manifest nor a scalar in {table.name}; there are: {names}"
+    )
+
+
+def _loop(loop: LoopRig, rig: Rig, table: Table, entry: Entry) -> Loop:
+    into = abs(rig.input.factor)
+    outof = abs(rig.output.factor)
+
+    def value(given: float | str | None, key: str) -> float | None:
+        return None if given is None else _lookup(given, table, entry, f"{rig.name} [loop] {key}")
+
+    def times(number: float | None, factor: float) -> float | None:
+        return None if number is None else number * factor
+
+    return Loop(
+        law=loop.law,
+        gain=times(value(loop.gain, "gain"), loop.gain_scale * into / outof),
+        kp=value(loop.kp, "kp"),
+        kv=times(value(loop.kv, "kv"), into / outof),
+        limit=times(loop.limit, into),
+        reference_rate_limit=times(loop.reference_rate_limit, outof),
+        minimum=times(loop.minimum, into),
+    )
+
+
+def _share_resolution(recordings: list[Recording], given: float | None) -> list[Recording]:
+    """One encoder, one resolution: the median of what each recording shows, where they agree."""
+    found = np.array([recording.resolution for recording in recordings if recording.resolution > 0])
+    if given is not None or not found.size or np.ptp(found) > 0.1 * np.median(found):
+        return recordings
+    return [replace(recording, resolution=float(np.median(found))) for recording in recordings]
+
+
+def _check_moves(recordings: Sequence[Recording]) -> None:
+    for what in ("input", "output"):
+        values = np.concatenate([getattr(recording, what) for recording in recordings])
+        values = values[np.isfinite(values)]
+        if values.size < 2 or np.ptp(values) == 0:
+            said = f"{values[0]:g}" if values.size else "nothing"
+            raise BadInput(
+                f"{recordings[0].name}: the {what} is {said} all the time; "
+                "record the axis moving under a changing input"
+            )

@@ -1,0 +1,451 @@
+"""What the columns of a recording are: the rig file (rig.toml), or a guess from the column names.
+
+Every unit that a user may write is converted to one of `%, V, A, N*m, N` for the input and one of
+`rad, m, rad/s, m/s` for the output. What the user writes is `value = (raw - offset) * scale`, in `unit`.
+"""
+
+import math
+import re
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from twin.errors import BadInput
+from twin.io.toml import check_keys
+
+# unit as the user writes it -> (unit we keep, factor); a count's factor needs counts_per_revolution
+Units = Mapping[str, tuple[str, float]]
+
+TIME_UNITS: Units = {"s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "ns": ("s", 1e-9)}
+INPUT_UNITS: Units = {
+    "%": ("%", 1.0),
+    "1": ("%", 100.0),
+    "V": ("V", 1.0),
+    "A": ("A", 1.0),
+    "N*m": ("N*m", 1.0),
+    "N": ("N", 1.0),
+}
+POSITION_UNITS: Units = {
+    "rad": ("rad", 1.0),
+    "deg": ("rad", math.pi / 180),
+    "rev": ("rad", 2 * math.pi),
+    "count": ("rad", 2 * math.pi),
+    "m": ("m", 1.0),
+}
+SPEED_UNITS: Units = {"rad/s": ("rad/s", 1.0), "rpm": ("rad/s", 2 * math.pi / 60), "m/s": ("m/s", 1.0)}
+OUTPUT_UNITS: Units = {**POSITION_UNITS, **SPEED_UNITS}
+OPTIONAL_UNITS: Mapping[str, Units] = {
+    "motor_position": POSITION_UNITS,
+    "speed": SPEED_UNITS,
+    "current": {"A": ("A", 1.0), "mA": ("A", 1e-3)},
+    "supply": {"V": ("V", 1.0), "mV": ("V", 1e-3)},
+    "temperature": {"degC": ("K", 1.0), "K": ("K", 1.0)},
+}
+_ZERO_CELSIUS = 273.15  # K
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of the table and how its numbers become a quantity: (raw - offset) * scale * factor + zero.
+
+    `full_scale` (input only) is the raw value at full drive, for commands that are neither percent nor a
+    fraction but timer ticks: the value is then 100 * (raw - offset) * scale / full_scale percent.
+    """
+
+    name: str
+    unit: str  # what the converted values are in
+    offset: float = 0.0
+    scale: float = 1.0
+    factor: float = 1.0  # from the unit that the user wrote to `unit`
+    zero: float = 0.0
+    resolution: float | None = None  # in `unit`; None: to be found from the data
+    turn: float | None = None  # raw units per full turn, when the raw values are an angle
+    counts: bool = False
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Where time comes from: a column, a constant sample time, or (both None) the file format's own
+    stamps."""
+
+    column: str | None = None
+    factor: float = 1.0  # s per unit
+    sample_time: float | None = None  # s
+
+
+@dataclass(frozen=True)
+class LoopRig:
+    """The rig's own position loop as the rig file describes it; a name stands for a manifest column or a
+    scalar.
+
+    Numbers are in the units that the user wrote for input and output; they are converted with the recording.
+    """
+
+    reference: str
+    law: str
+    gain: float | str | None = None
+    gain_scale: float = 1.0
+    kp: float | str | None = None
+    kv: float | str | None = None
+    limit: float | None = None
+    reference_rate_limit: float | None = None
+    minimum: float | None = None
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What the columns are, what is known already and what the first model contains besides the base
+    effects."""
+
+    name: str
+    time: Clock
+    input: Column
+    output: Column
+    optional: Mapping[str, Column] = field(default_factory=dict)
+    known: Mapping[str, float | str] = field(default_factory=dict)
+    loop: LoopRig | None = None
+    effects: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return (
+            f"{self.name}: input '{self.input.name}' in {self.input.unit}, "
+            f"output '{self.output.name}' in {self.output.unit}"
+        )
+
+
+def read_rig(path: Path) -> Rig:
+    """Read a rig file.
+
+    Beyond the plain keys, a column may have `offset` and `scale` (value = (raw - offset) * scale, before the
+    unit) and `resolution` (one count, in the column's unit). An input that is logged in timer ticks has
+    `full_scale`, the ticks at full drive, in place of a unit: full_scale = 5299 makes 5299 ticks 100 %.
+    [known] and the gains of [loop] are numbers or names of manifest columns (or of scalars in a MAT file);
+    `gain_scale` multiplies the gain.
+
+    Raises BadInput for TOML that cannot be read, an unknown key, a wrong unit, or a value of the wrong kind.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise BadInput(f"{path}: no such rig file; check the path") from None
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: not UTF-8 text (byte {error.start}); save the rig file as UTF-8") from None
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); give a rig.toml file") from None
+    try:
+        table = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise BadInput(f"{path}: not valid TOML: {error}".replace("\n", " ")) from None
+    return _rig(table, str(path))
+
+
+def _rig(table: Mapping[str, Any], where: str) -> Rig:
+    check_keys(where, table, ("time", "input", "output", "optional", "known", "loop", "structure"))
+    for key in ("input", "output"):
+        if key not in table:
+            raise BadInput(f"{where}: [{key}] is missing; say which column it is and in what unit")
+    roles = {key: _table(table, key, where).get("column") for key in ("time", "input", "output")}
+    for key, other in (("input", "output"), ("time", "input"), ("time", "output")):
+        if roles[key] is not None and roles[key] == roles[other]:
+            raise BadInput(f"{where}: [{key}] and [{other}] are both column '{roles[key]}'; name two columns")
+    optional = _table(table, "optional", where)
+    check_keys(f"{where} [optional]", optional, OPTIONAL_UNITS)
+    structure = _table(table, "structure", where)
+    check_keys(f"{where} [structure]", structure, ("effects",))
+    effects = structure.get("effects", [])
+    if not isinstance(effects, list) or not all(isinstance(e, str) for e in effects):
+        raise BadInput(f'{where} [structure]: effects = {effects!r} must be a list of names, such as ["gravity"]')
+    return Rig(
+        name=where,
+        time=_clock(_table(table, "time", where), f"{where} [time]"),
+        input=_column(_table(table, "input", where), INPUT_UNITS, f"{where} [input]", ("full_scale",)),
+        output=_column(_table(table, "output", where), OUTPUT_UNITS, f"{where} [output]"),
+        optional={
+            key: _column(_table(optional, key, where), OPTIONAL_UNITS[key], f"{where} [optional.{key}]")
+            for key in optional
+        },
+        known={
+            key: _number_or_name(_table(table, "known", where), key, f"{where} [known]")
+            for key in _table(table, "known", where)
+        },
+        loop=_loop(_table(table, "loop", where), f"{where} [loop]") if "loop" in table else None,
+        effects=tuple(effects),
+    )
+
+
+def _clock(table: Mapping[str, Any], where: str) -> Clock:
+    check_keys(where, table, ("column", "unit", "sample_time"))
+    column = _text(table, "column", where) if "column" in table else None
+    sample_time = _number(table, "sample_time", where) if "sample_time" in table else None
+    if column is not None and sample_time is not None:
+        raise BadInput(f"{where}: give either column or sample_time, not both")
+    if sample_time is not None and sample_time <= 0:
+        raise BadInput(f"{where}: sample_time = {sample_time:g} must be greater than 0 s")
+    factor = _unit(table, TIME_UNITS, where, default="s")[1]
+    return Clock(column, factor, None if sample_time is None else sample_time * factor)
+
+
+def _column(table: Mapping[str, Any], units: Units, where: str, more: Sequence[str] = ()) -> Column:
+    allowed = ("column", "unit", "offset", "scale", "resolution", "counts_per_revolution", *more)
+    check_keys(where, table, allowed)
+    if "column" not in table:
+        raise BadInput(f"{where}: column is missing; name the column of the recording")
+    written = table.get("unit")
+    full_scale = _number(table, "full_scale", where) if "full_scale" in table else None
+    unit, factor = _unit(table, units, where, default="%" if full_scale is not None else None)
+    if full_scale is not None:
+        if unit != "%" or full_scale <= 0:
+            raise BadInput(f'{where}: full_scale must be greater than 0 and goes with unit = "%" only')
+        factor = 100.0 / full_scale
+    scale = _number(table, "scale", where) if "scale" in table else 1.0
+    if scale == 0:
+        raise BadInput(f"{where}: scale = 0 would make every value 0; give another scale")
+    per_revolution = _number(table, "counts_per_revolution", where) if "counts_per_revolution" in table else None
+    if per_revolution is not None and per_revolution <= 0:
+        raise BadInput(f"{where}: counts_per_revolution = {per_revolution:g} must be greater than 0")
+    if written == "count":
+        if per_revolution is None:
+            raise BadInput(f'{where}: unit = "count" needs counts_per_revolution (after quadrature)')
+        factor /= per_revolution
+    resolution = abs(factor * scale) if written == "count" else None
+    if resolution is None and per_revolution is not None and unit == "rad":
+        resolution = 2 * math.pi / per_revolution
+    if "resolution" in table:
+        resolution = _number(table, "resolution", where) * factor
+        if resolution < 0:
+            raise BadInput(f"{where}: resolution must not be negative")
+    turn = 2 * math.pi / abs(factor * scale) if unit == "rad" else None
+    return Column(
+        name=_text(table, "column", where),
+        unit=unit,
+        offset=_number(table, "offset", where) if "offset" in table else 0.0,
+        scale=scale,
+        factor=factor,
+        zero=_ZERO_CELSIUS if written == "degC" else 0.0,
+        resolution=resolution,
+        turn=turn,
+        counts=written == "count",
+    )
+
+
+def _loop(table: Mapping[str, Any], where: str) -> LoopRig:
+    allowed = (
+        "reference",
+        "law",
+        "gain",
+        "gain_scale",
+        "kp",
+        "kv",
+        "limit",
+        "reference_rate_limit",
+        "minimum",
+    )
+    check_keys(where, table, allowed)
+    for key in ("reference", "law"):
+        if key not in table:
+            raise BadInput(f"{where}: {key} is missing")
+    law = _text(table, "law", where)
+    needed = {"P": ("gain",), "P-P": ("kp", "kv")}
+    if law not in needed:
+        raise BadInput(f'{where}: law = "{law}" is not known; use "P" or "P-P"')
+    for key in needed[law]:
+        if key not in table:
+            raise BadInput(f'{where}: law = "{law}" needs {" and ".join(needed[law])}')
+
+    def number(key: str) -> float | None:
+        return _number(table, key, where) if key in table else None
+
+    def number_or_name(key: str) -> float | str | None:
+        return _number_or_name(table, key, where) if key in table else None
+
+    return LoopRig(
+        reference=_text(table, "reference", where),
+        law=law,
+        gain=number_or_name("gain"),
+        gain_scale=_number(table, "gain_scale", where) if "gain_scale" in table else 1.0,
+        kp=number_or_name("kp"),
+        kv=number_or_name("kv"),
+        limit=number("limit"),
+        reference_rate_limit=number("reference_rate_limit"),
+        minimum=number("minimum"),
+    )
+
+
+def _table(table: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
+    value = table.get(key, {})
+    if not isinstance(value, dict):
+        raise BadInput(f"{where}: {key} = {value!r} must be a table, written [{key}]")
+    return value
+
+
+def _number(table: Mapping[str, Any], key: str, where: str) -> float:
+    value = table[key]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise BadInput(f"{where}: {key} = {value!r} must be a number")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise BadInput(f"{where}: {key} must be a finite number")
+    return number
+
+
+def _number_or_name(table: Mapping[str, Any], key: str, where: str) -> float | str:
+    return table[key] if isinstance(table[key], str) else _number(table, key, where)
+
+
+def _text(table: Mapping[str, Any], key: str, where: str) -> str:
+    value = table[key]
+    if not isinstance(value, str) or not value:
+        raise BadInput(f"{where}: {key} = {value!r} must be a name in quotes")
+    return value
+
+
+def _unit(table: Mapping[str, Any], units: Units, where: str, default: str | None) -> tuple[str, float]:
+    allowed = ", ".join(f'"{u}"' for u in units)
+    value = table.get("unit", default)
+    if value is None:
+        raise BadInput(f"{where}: unit is missing; use one of {allowed}")
+    if not isinstance(value, str) or value not in units:
+        raise BadInput(f"{where}: unit = {value!r} is not known; use one of {allowed}")
+    return units[value]
+
+
+# --- without a rig file ---
+
+# Column names that mean the same thing wherever we have seen them, best first.
+_TIME_NAMES = ("t", "time", "timestamp", "times", "seconds", "clock")
+_INPUT_NAMES = {
+    "duty": "%",
+    "dutycycle": "%",
+    "pwm": "%",
+    "commandedpwm": "%",
+    "voltage": "V",
+    "volts": "V",
+    "vir": "V",
+    "torque": "N*m",
+    "tau": "N*m",
+    "force": "N",
+    "current": "A",
+    "input": "%",
+    "command": "%",
+    "u": "%",
+}
+_POSITION_NAMES = (
+    "counts",
+    "count",
+    "encoder",
+    "position",
+    "pos",
+    "theta",
+    "angle",
+    "qm",
+    "q",
+    "phi",
+    "y",
+    "output",
+)
+_SPEED_NAMES = ("speed", "velocity", "omega", "motorspeed", "vel")
+_UNIT_SPELLINGS = {
+    "sec": "s",
+    "seconds": "s",
+    "µs": "us",
+    "pct": "%",
+    "percent": "%",
+    "v": "V",
+    "a": "A",
+    "nm": "N*m",
+    "n*m": "N*m",
+    "n·m": "N*m",
+    "n": "N",
+    "counts": "count",
+    "degrees": "deg",
+    "°": "deg",
+    "rad_s": "rad/s",
+    "radps": "rad/s",
+    "m_s": "m/s",
+    "mps": "m/s",
+}
+_BRACKETED = re.compile(r"^(.*?)[\s_]*[(\[]\s*([^)\]]+?)\s*[)\]]$")
+_SUFFIXED = re.compile(
+    r"^(.+?)[_ ](rad_s|radps|rad/s|m_s|m/s|mps|rpm|rad|deg|rev|counts?|m"
+    r"|s|sec|ms|us|ns|pct|percent|%|v|a|nm|n)$",
+    re.I,
+)
+
+
+def _split_unit(name: str) -> tuple[str, str | None]:
+    """'Motor_Speed(RPM)' -> ('motorspeed', 'rpm'); a name without a unit has None."""
+    match = _BRACKETED.match(name.strip()) or _SUFFIXED.match(name.strip())
+    base, unit = match.groups() if match else (name, None)
+    if unit is not None:
+        unit = _UNIT_SPELLINGS.get(unit.lower(), unit.lower())
+    return re.sub(r"[^a-z0-9]", "", base.lower()), unit
+
+
+def _pick(names: Sequence[str], known: Iterable[str], units: Units) -> tuple[str, str, str | None] | None:
+    """The first column whose name is one of `known`, in that order, and whose unit, if written, is
+    possible."""
+    split = [(name, *_split_unit(name)) for name in names]
+    for wanted in known:
+        for name, base, unit in split:
+            if base == wanted and (unit is None or unit in units):
+                return name, base, unit
+    return None
+
+
+def guess_time(names: Sequence[str]) -> Clock | None:
+    """The clock, from the column names alone; None when no name says time."""
+    found = _pick(names, _TIME_NAMES, TIME_UNITS)
+    return None if found is None else Clock(found[0], TIME_UNITS[found[2] or "s"][1])
+
+
+def guess_rig(name: str, names: Sequence[str], has_clock: bool, duty_peak: Mapping[str, float]) -> Rig:
+    """A rig from obvious column names, for a recording that comes without a rig file.
+
+    `name`: file name for messages; `names`: its columns; `has_clock`: the format brings its own stamps;
+    `duty_peak`: largest absolute value per column, to tell a duty of 0..1 from one of 0..100.
+    Raises BadInput when a column cannot be told from its name.
+    """
+    listing = f"columns are: {', '.join(names)}; write a rig.toml that names the columns"
+    clock = guess_time(names)
+    if clock is None and not has_clock:
+        raise BadInput(f"{name}: no column looks like time; {listing}")
+    drive = _pick(names, _INPUT_NAMES, INPUT_UNITS)
+    if drive is None:
+        raise BadInput(f"{name}: no column looks like the input; {listing}")
+    reading = _pick(names, _POSITION_NAMES, POSITION_UNITS) or _pick(names, _SPEED_NAMES, SPEED_UNITS)
+    if reading is None:
+        raise BadInput(f"{name}: no column looks like the output; {listing}")
+    unit_in = drive[2] or _INPUT_NAMES[drive[1]]
+    if drive[2] is None and unit_in == "%":
+        peak = duty_peak.get(drive[0], 0.0)
+        if peak > 101:
+            raise BadInput(
+                f"{name}: column '{drive[0]}' reaches {peak:g}, which is no percentage; "
+                "write a rig.toml that gives its unit or full_scale"
+            )
+        unit_in = "1" if 0 < peak <= 1 else "%"
+    is_count = reading[2] == "count" or reading[1] in ("counts", "count", "encoder")
+    if is_count:
+        raise BadInput(
+            f"{name}: column '{reading[0]}' is in counts, and counts_per_revolution is not known; "
+            "write a rig.toml with it"
+        )
+    unit_out = reading[2] or ("rad/s" if reading[1] in _SPEED_NAMES else "rad")
+    assumed = []
+    if clock is not None and clock.column is not None:
+        unit = next(u for u, (_, factor) in TIME_UNITS.items() if factor == clock.factor)
+        assumed.append(f"time is column '{clock.column}', in {unit}")
+    assumed.append(f"the input is column '{drive[0]}', in {'fractions of full drive' if unit_in == '1' else unit_in}")
+    assumed.append(f"the output is column '{reading[0]}', in {unit_out}")
+    rig = _rig(
+        {"input": {"column": drive[0], "unit": unit_in}, "output": {"column": reading[0], "unit": unit_out}},
+        name,
+    )
+    return replace(rig, time=clock or Clock(), assumed=tuple(assumed))

@@ -1,0 +1,1 @@
+"""The model: its structure, its equations of motion, its parameter values."""

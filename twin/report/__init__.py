@@ -1,0 +1,1 @@
+"""What a diagnosis says, as one HTML page: wording, figures, style."""

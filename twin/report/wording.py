@@ -1,0 +1,183 @@
+"""How numbers and verdicts are put into words; the command line and the report say the same."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from twin.effects.catalogue import EFFECTS, UNKNOWN
+
+if TYPE_CHECKING:
+    from twin.control.cosimulation import Tracking
+    from twin.diagnosis.result import Diagnosis, Fitness, Undecided
+    from twin.io.recording import Recording
+
+#: The variables that a misfit may go with, in plain words.
+VARIABLES = {
+    "position": "position", "velocity": "speed", "acceleration": "acceleration", "input": "the command",
+    "time": "time", "direction": "the direction of motion", "load": "the load",
+}  # fmt: skip
+_NICE = {"N*m": "N·m", "kg*m^2": "kg·m²", "kg*m": "kg·m", "^2": "²", "^3": "³"}
+
+
+def unit_text(unit: str) -> str:
+    """A unit as it is printed; nothing for the unit one."""
+    return "" if unit == "1" else pretty(unit)
+
+
+def pretty(text: str) -> str:
+    """A sentence with its units as they are printed."""
+    for plain, nice in _NICE.items():
+        text = text.replace(plain, nice)
+    return text
+
+
+def capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number with so many digits that count, without an exponent where it reads well without."""
+    if not math.isfinite(value):
+        return "–"
+    if value == 0.0:
+        return "0"
+    size = math.floor(math.log10(abs(value)))
+    if -4 <= size < 6:
+        text = f"{value:.{max(digits - 1 - size, 0)}f}"
+        return text.replace("-", "−")
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    return f"{mantissa}·10{_raised(int(exponent))}".replace("-", "−")
+
+
+def measure(value: float, std: float = math.nan, unit: str = "1") -> str:
+    """Value, standard error to two digits, unit: 3.102 ± 0.021 rad/s²."""
+    shown = unit_text(unit)
+    tail = "" if not shown else ("\u202f%" if shown == "%" else f" {shown}")
+    if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
+        return number(value, 4) + tail
+    size = math.floor(math.log10(max(abs(value), std)))
+    if -4 <= size < 6:
+        return _both(value, std) + tail
+    return f"({_both(value / 10.0**size, std / 10.0**size)})·10{_raised(size)}{tail}"
+
+
+def _both(value: float, std: float) -> str:
+    kept = min(max(1 - math.floor(math.log10(std)), 0), 9)
+    return f"{value:.{kept}f} ± {std:.{kept}f}".replace("-", "−")
+
+
+def _raised(exponent: int) -> str:
+    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def percent(share: float) -> str:
+    """A share of one as a percentage that claims no certainty it does not have."""
+    if not math.isfinite(share):
+        return "–"
+    if share > 0.99:
+        return "over 99\u202f%"
+    if share < 0.01:
+        return "under 1\u202f%"
+    return f"{100.0 * share:.0f}\u202f%"
+
+
+def listed(words: Sequence[str]) -> str:
+    """a, b and c."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
+
+
+def title(effect: str) -> str:
+    return EFFECTS[effect].title if effect in EFFECTS else effect.replace("_", " ")
+
+
+def variables(diagnosis: Diagnosis) -> str:
+    """What the misfit goes with."""
+    return listed([VARIABLES.get(v, v) for v in diagnosis.depends_on])
+
+
+def doubt(pair: Undecided) -> str:
+    """Two effects that could be each other, how likely either is, and what would tell."""
+    one, two = (f"{title(i)} ({percent(p)})" for i, p in zip(pair.ids, pair.probabilities, strict=True))
+    return f"This recording cannot tell {one} from {two}; this would: {pair.experiment}."
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """The verdict in one sentence."""
+    found = listed([_or_else(f.id, diagnosis) for f in diagnosis.findings])
+    if diagnosis.verdict == "explained":
+        pronoun = "it" if len(diagnosis.findings) == 1 else "them"
+        return f"The first model left out {found}; with {pronoun}, the model explains the recording."
+    if diagnosis.verdict == "nothing_missing":
+        return "Nothing is missing: the first model already explains this recording."
+    if diagnosis.verdict == "partly_explained":
+        return f"The first model left out {found}, and something else that has no name here yet."
+    where = variables(diagnosis)
+    tail = f", and it goes with {where}" if where else ""
+    drawn = listed([title(i) for i in diagnosis.after.structure.ids if i in UNKNOWN])
+    curve = f". Fitted in its place: {drawn}" if drawn else ""
+    return f"Something is missing that none of the known effects describes{tail}{curve}."
+
+
+def nameless(diagnosis: Diagnosis) -> list[str]:
+    """What is fitted in the place of what has no name, with its numbers."""
+    return [diagnosis.after.says(i) for i in diagnosis.after.structure.ids if i in UNKNOWN]
+
+
+def _or_else(effect: str, diagnosis: Diagnosis) -> str:
+    """An effect and whatever could as well stand in its place."""
+    rivals = [title(u.ids[1]) for u in diagnosis.undecided if u.ids[0] == effect]
+    return " or ".join([title(effect), *rivals]) + (" (this recording cannot tell which)" if rivals else "")
+
+
+def _fit_change(before: Fitness, after: Fitness, unit: str, where: str) -> str:
+    """How the free-running error changed."""
+    change = (
+        f"from {number(before.nrmse_percent)}\u202f% to {number(after.nrmse_percent)}\u202f% of the recorded range "
+        f"({number(before.rmse)} to {number(after.rmse)} {unit_text(unit)})"
+    )
+    moved = "falls" if after.rmse < 0.98 * before.rmse else "goes" if after.rmse < 1.02 * before.rmse else "rises"
+    return f"{where} the free-running simulation's error {moved} {change}."
+
+
+def _held_out_part(diagnosis: Diagnosis) -> str:
+    """What the hold-out is, to begin a sentence with."""
+    held = [t for t in diagnosis.traces if t.role == "holdout"]
+    span = sum(float(t.time[-1] - t.time[0]) for t in held)
+    of = f" in {len(held)} recordings" if len(held) > 1 else ""
+    return f"On {number(span)} s{of} that no fit has seen"
+
+
+def fit_sentence(diagnosis: Diagnosis) -> str:
+    """The change of the error on what was held out, or on the training data where nothing was."""
+    unit = diagnosis.recordings[0].output_unit
+    for role in ("holdout", "train"):
+        both = diagnosis.fit.get(role, {})
+        if "before" in both and math.isfinite(both["before"].rmse):
+            where = _held_out_part(diagnosis) if role == "holdout" else "On the training data"
+            return _fit_change(both["before"], both["after"], unit, where)
+    return "There were no readings to compare a simulation with."
+
+
+def sentences(diagnosis: Diagnosis, tracking: Tracking | None = None) -> tuple[str, ...]:
+    """What somebody who reads only three sentences should know."""
+    found = [*(f.says for f in diagnosis.findings), *nameless(diagnosis)]
+    said = [" ".join([headline(diagnosis), *found]), fit_sentence(diagnosis)]
+    if tracking is not None:
+        said.append(f"The controller made from the model was tried against the FMU: {_lower(tracking.says[0])}")
+    return tuple(said)
+
+
+def _lower(text: str) -> str:
+    return text[:1].lower() + text[1:]
+
+
+def recordings_sentence(recordings: Sequence[Recording]) -> str:
+    """What was recorded."""
+    first = recordings[0]
+    if len(recordings) == 1:
+        return f"{first.name}: {first!r}."
+    span = sum(float(r.time[-1]) for r in recordings)
+    held = sum(r.role == "holdout" for r in recordings)
+    return f"{len(recordings)} recordings of {number(span)} s in all, {held} of them held out; the first: {first!r}."

@@ -1,0 +1,1 @@
+"""The compiled kernel that simulates and predicts an axis."""

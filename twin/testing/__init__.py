@@ -1,0 +1,1 @@
+"""A twin under test: pass or fail against a recording, and the pytest fixture."""

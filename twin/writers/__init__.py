@@ -1,1 +1,0 @@
-"""Writers: one physical text in, one tongue out each."""
