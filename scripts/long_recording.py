@@ -59,7 +59,7 @@ def bench_long(minutes: Sequence[float] = (4.0, 15.0, 60.0)) -> None:
             path = record(Path(name), length)
             before = resource.getrusage(resource.RUSAGE_CHILDREN)
             code = (
-                "import resource, sys; from twin.cli import main; done = main(sys.argv[1:]); "
+                "import resource, sys; from twin.cli.main import main; done = main(sys.argv[1:]); "
                 "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024); sys.exit(done)"
             )
             command = [sys.executable, "-c", code, "identify", str(path), "--rig", str(RIG)]

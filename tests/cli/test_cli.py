@@ -20,13 +20,14 @@ import pytest
 from example_diagnosis import example, model_of, recording_of
 
 from twin import pipeline
-from twin.cli import main
+from twin.cli import output
+from twin.cli.main import main
 from twin.control import controller
 from twin.diagnosis import diagnose, result
 from twin.estimation import estimate
 from twin.estimation.preparation import base_structure
 from twin.fmi import python_fmu
-from twin.io import files
+from twin.io import files, recording
 from twin.model import fitted_model
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
@@ -50,7 +51,7 @@ def shelf(tmp_path_factory) -> Path:
     (folder / "other.toml").write_text(fitted_model.dumps(truth.with_values({"input_gain": 0.5})))
     (folder / "base.toml").write_text(fitted_model.dumps(model_of()))
     python_fmu.export(truth, folder / "arm.fmu")
-    assert main.main(["control", str(folder / "model.toml"), "--out", str(folder / "c.toml"), "--bandwidth", "2"]) == 0
+    assert main(["control", str(folder / "model.toml"), "--out", str(folder / "c.toml"), "--bandwidth", "2"]) == 0
     return folder
 
 
@@ -66,7 +67,7 @@ def bench(shelf, tmp_path, monkeypatch) -> Iterator[Path]:
 def call(capsys, *arguments: str) -> tuple[int, str, str]:
     """Exit code, stdout, and stderr without the progress bar."""
     capsys.readouterr()
-    code = main.main(list(arguments))
+    code = main(list(arguments))
     out, err = capsys.readouterr()
     return code, out, err.split("\r")[-1]
 
@@ -254,7 +255,7 @@ def test_what_is_read_is_written_over_by_no_force(capsys, bench, arguments):
     "arguments", [["run", "good.csv", "--out", "new"], ["control", "model.toml", "--out", "n.toml"]]
 )
 def test_a_bandwidth_that_no_controller_has_is_refused_at_once(capsys, bench, monkeypatch, arguments):
-    monkeypatch.setattr(main, "_load", None)
+    monkeypatch.setattr(recording, "load", None)
     for value in ("-1", "0", "nan", "inf"):
         assert "--bandwidth" in refused(capsys, bench, *arguments, "--bandwidth", value)
 
@@ -396,7 +397,7 @@ def test_cosim_takes_other_names_other_structures_and_draws(capsys, bench):
     usual = call(capsys, "cosim", "arm.fmu", "c.toml", "--json", "-", "--reference", "step", "--amplitude", "0.2")[1]
     assert code == 0 and json.loads(out) == json.loads(usual) and json.loads(out)["peak"] < 0.21
     assert ET.parse(bench / "run.svg").getroot().tag.endswith("svg")
-    assert main.main(["export", "base.toml", "--out", "base.fmu", "--quiet"]) == 0
+    assert main(["export", "base.toml", "--out", "base.fmu", "--quiet"]) == 0
     assert "--other-structure" in refused(capsys, bench, "cosim", "base.fmu", "c.toml")
     assert call(capsys, "cosim", "base.fmu", "c.toml", "--other-structure")[0] == 0
     assert "shape minimum-jerk" in refused(
@@ -457,14 +458,14 @@ def test_two_stage_says_what_it_lacks(capsys, bench):
 
 @pytest.fixture
 def known_answer(monkeypatch):
-    def diagnose(recordings, first, held=None, progress=None, closed=False):
+    def answer(recordings, first, held=None, progress=None, closed=False):
         progress("searching", 0.5)
-        diagnose.first = first
+        answer.first = first
         return example()
 
-    monkeypatch.setattr(diagnose, "diagnose", diagnose)
+    monkeypatch.setattr(diagnose, "diagnose", answer)
     monkeypatch.setattr(estimate, "compile_kernel", lambda tell: None)
-    return diagnose
+    return answer
 
 
 def keys(value) -> object:
@@ -592,8 +593,8 @@ def test_help_is_there_for_every_command():
 )
 def test_a_command_imports_only_what_it_needs(bench, command, code, heavy):
     asked = (
-        "import sys; from twin import cli\n"
-        "try: code = cli.main(sys.argv[2:])\n"
+        "import sys; from twin.cli.main import main\n"
+        "try: code = main(sys.argv[2:])\n"
         "except SystemExit as ended: code = ended.code\n"
         "print(code, *(m for m in sys.argv[1].split() if m in sys.modules))"
     )
@@ -607,8 +608,8 @@ def test_a_command_imports_only_what_it_needs(bench, command, code, heavy):
 def test_the_bar_is_drawn_and_then_gone(monkeypatch):
     drawn = io.StringIO()
     monkeypatch.setattr(sys, "stderr", drawn)
-    monkeypatch.setattr(main, "LINE", 0.2)
-    with main._progress(argparse.Namespace(quiet=False)) as tell:
+    monkeypatch.setattr(output, "LINE", 0.2)
+    with output.show_progress(argparse.Namespace(quiet=False)) as tell:
         tell("computing", 0.5)
         deadline = time.monotonic() + 60.0
         while "computing" not in drawn.getvalue() and time.monotonic() < deadline:

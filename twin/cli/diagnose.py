@@ -1,0 +1,64 @@
+"""`twin diagnose`: what a first model leaves out."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from twin.cli.command import Command, add_closed, add_log, add_out, add_structure, check_outputs, load
+from twin.cli.output import answer_user, assumption_lines, show_progress
+
+
+def _diagnose(args: argparse.Namespace) -> int:
+    experiment_file = args.out.with_name(f"{args.out.stem}_next_experiment.csv")
+    check_outputs(args, args.out, args.report, experiment_file)
+    with show_progress(args) as tell:
+        recordings, rig = load(args, tell)
+        from twin.diagnosis import diagnose, result
+        from twin.estimation import estimate
+        from twin.io import files
+        from twin.io.recording import as_told, check_units
+        from twin.model import fitted_model
+        from twin.report import wording
+
+        given = None if args.model is None else fitted_model.read(args.model)
+        if given is not None:
+            for r in recordings:
+                check_units(r, str(args.model), given.input_unit, given.axis_unit)
+            recordings = [as_told(r, given.known) for r in recordings]
+        structure = estimate.first_structure(rig, args.more, args.fewer, None if given is None else given.structure)
+        estimate.compile_kernel(tell)
+        d = diagnose.diagnose(
+            recordings, structure, {} if given is None else estimate.held_of(given),
+            progress=lambda s, x: tell(s, 0.05 + 0.9 * x), closed=args.closed,
+        )  # fmt: skip
+        page = ""
+        if args.report is not None:
+            from twin.report import html
+
+            tell("writing the report", 0.97)
+            page = html.html(html.Story(d, rig))
+    experiment = result.experiment_csv(d.experiment, d.after.input_name)
+    files.put(args.out, fitted_model.dumps(estimate.with_largest_command(d.after, recordings)))
+    if experiment:
+        files.put(experiment_file, experiment)
+    if args.report is not None:
+        files.put(args.report, page)
+    said = [*assumption_lines(rig), *wording.sentences(d), *d.remarks]
+    said += [wording.doubt(u) for u in d.undecided]
+    if experiment:
+        said.append(f"Next: {d.experiment.why} The input to play is in {experiment_file}.")
+    answer_user(args, said, result.to_json(d, str(experiment_file) if experiment else ""))
+    return 0
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_log(parser)
+    add_structure(parser)
+    add_closed(parser)
+    parser.add_argument("--model", type=Path, metavar="MODEL.toml", help="the first model; default: the base effects")
+    add_out(parser, "IMPROVED.toml")
+    parser.add_argument("--report", type=Path, metavar="HTML", help="the report, one self-contained file")
+
+
+COMMAND = Command("diagnose", "locate, name and model what a first model leaves out", _add_arguments, _diagnose)

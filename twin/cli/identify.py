@@ -1,0 +1,67 @@
+"""`twin identify`: the parameters of a model with their standard errors."""
+
+from __future__ import annotations
+
+import argparse
+
+from twin.cli.command import Command, add_closed, add_log, add_out, add_structure, check_outputs, load
+from twin.cli.output import (
+    answer_user,
+    assumption_lines,
+    fault_lines,
+    parameter_lines,
+    parameters_to_json,
+    show_progress,
+)
+
+
+def _identify(args: argparse.Namespace) -> int:
+    check_outputs(args, args.out)
+    with show_progress(args) as tell:
+        recordings, rig = load(args, tell)
+        from twin.estimation import estimate
+        from twin.io import files
+        from twin.io.recording import faults_of
+        from twin.model import fitted_model
+        from twin.report import wording
+
+        structure = estimate.first_structure(rig, args.more, args.fewer)
+        found = estimate.estimate(recordings, structure, args.method, tell, args.horizon, args.closed)
+    files.put(args.out, fitted_model.dumps(found))
+    said = [
+        *assumption_lines(rig),
+        wording.recordings_sentence(recordings),
+        *fault_lines(recordings),
+        f"{args.out}: {found.structure}, by the {args.method} method:",
+        *parameter_lines(found),
+    ]
+    answer = {
+        "format": "twin-identify/1",
+        "model": str(args.out),
+        "method": args.method,
+        "horizon": args.horizon,
+        "effects": list(found.structure.ids),
+        "parameters": parameters_to_json(found),
+        "recording_faults": faults_of(recordings),
+        "assumed": list(rig.assumed),
+    }
+    answer_user(args, said, answer)
+    return 0
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_log(parser)
+    add_structure(parser)
+    add_out(parser, "MODEL.toml")
+    parser.add_argument(
+        "--method", choices=("joint", "two-stage"), default="joint",
+        help="joint: maximum likelihood on everything (default); two-stage: steady states, then transients",
+    )  # fmt: skip
+    parser.add_argument(
+        "--horizon", type=float, metavar="SECONDS",
+        help="the values that predict best this far ahead, for a model that lacks something; default: the likeliest",
+    )  # fmt: skip
+    add_closed(parser)
+
+
+COMMAND = Command("identify", "parameters with standard errors", _add_arguments, _identify)

@@ -1,0 +1,109 @@
+"""What a command shows: progress on stderr, sentences on the console, JSON in a file."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from twin.io.recording import Recording, Rig
+    from twin.model.fitted_model import Model
+
+Progress = Callable[[str, float], None]
+Answer = Mapping[str, Any]
+#: In a log each time that a bar is drawn is a line: so many seconds apart.
+LINE = 30.0
+
+
+@contextmanager
+def show_progress(args: argparse.Namespace) -> Iterator[Progress]:
+    """A bar on stderr once the work takes over a second; gone when it is done."""
+    if args.quiet:
+        yield lambda sentence, share: None
+        return
+    from tqdm import tqdm
+
+    tty = sys.stderr.isatty()
+    shape = "{desc} {bar} {percentage:3.0f} % {elapsed}"
+    bar = tqdm(total=100, delay=1e9, leave=False, file=sys.stderr, ncols=None if tty else 90, bar_format=shape)
+    done = threading.Event()
+
+    def draw() -> None:
+        # The work says little while it computes: a bar whose clock stands still looks like one that hangs.
+        if not done.wait(1.0 if tty else LINE):
+            bar.delay = 0.0  # else tqdm takes the bar for one that was never drawn, and leaves it standing
+            bar.refresh()
+            while not done.wait(0.25 if tty else LINE):
+                bar.refresh()
+
+    drawing = threading.Thread(target=draw, daemon=True)
+    drawing.start()
+
+    def tell(sentence: str, share: float) -> None:
+        bar.set_description_str(sentence, refresh=False)
+        bar.n = max(100.0 * share, bar.n)
+
+    try:
+        yield tell
+    finally:
+        done.set()
+        drawing.join()
+        bar.close()
+
+
+def answer_user(args: argparse.Namespace, said: Sequence[str], answer: Answer) -> None:
+    """The sentences for people, and the JSON for programs; with `--json -` the sentences go to stderr."""
+    from twin.io.files import json_text, put
+
+    if args.json == "-":
+        sys.stdout.write(json_text(answer))
+    elif args.json is not None:
+        put(Path(args.json), json_text(answer))
+    if not args.quiet:
+        # Consoles that know only a few characters get plain ones, and never an error.
+        text = "\n".join(said).translate({ord("\u202f"): " ", ord("−"): "-"})
+        stream = sys.stderr if args.json == "-" else sys.stdout
+        coding = stream.encoding or "ascii"
+        print(text.encode(coding, "replace").decode(coding), file=stream)
+
+
+def assumption_lines(rig: Rig) -> list[str]:
+    return [f"Assumed, for want of a rig file: {a}" for a in rig.assumed]
+
+
+def fault_lines(recordings: Sequence[Recording]) -> list[str]:
+    """What was left out of each recording, by its name where there are several."""
+    several = len(recordings) > 1
+    return [f"{r.name}: {f.says}" if several else f.says for r in recordings for f in r.faults]
+
+
+def parameters_to_json(model: Model) -> dict[str, Any]:
+    found = {}
+    for p in model.structure.parameters:
+        entry: dict[str, Any] = {
+            "value": model.values[p.name], "std": model.std(p.name), "unit": model.unit(p.name), "meaning": p.meaning
+        }  # fmt: skip
+        if p.name in model.intervals:
+            entry["interval"] = list(model.intervals[p.name])
+        if p.name in model.notes:
+            entry["note"] = model.notes[p.name]
+        found[p.name] = entry
+    return found
+
+
+def parameter_lines(model: Model) -> list[str]:
+    from twin.report.wording import measure
+
+    width = max(len(p.name) for p in model.structure.parameters)
+    lines = []
+    for p in model.structure.parameters:
+        value = measure(model.values[p.name], model.std(p.name), model.unit(p.name))
+        torque = model.torque(p.name)
+        note = f"  ({model.notes[p.name]})" if p.name in model.notes else ""
+        lines.append(f"  {p.name:<{width}}  {value}{torque and f' = {torque}'}{note}")
+    return lines
