@@ -159,14 +159,14 @@ def test_a_curve_does_what_the_names_do_where_its_sketch_is_led_astray(monkeypat
     one = STRUCTURE.with_(effect)
     cases = [likelihood.prepare(recorded(one, 25.0, **values), one)]
     last = likelihood.fit(cases, one, preparation.completed(one, VALUES | values), preparation.free_parameters(one))
-    honest = curve_substitution.unknown.sketch
+    honest = curve_substitution.nonparametric.sketch
 
     def misled(cases, base, term):
         found = honest(cases, base, term)
         wild = {n: 30.0 * (-1.0) ** i for i, n in enumerate(names(f"unknown_{term.kind}"))}
         return replace(found, values=found.values | wild, free=base.free)
 
-    monkeypatch.setattr(curve_substitution.unknown, "sketch", misled)
+    monkeypatch.setattr(curve_substitution.nonparametric, "sketch", misled)
     variable = "position" if effect == "spring" else "velocity"
     curve = curve_substitution._drawn(cases, last, [effect], variable)
     assert curve.deviance < last.deviance + 20.0
@@ -179,7 +179,7 @@ def test_a_curve_takes_no_name_s_place_unless_it_foretells(monkeypatch, chance, 
     cases = [likelihood.prepare(recorded(STRUCTURE.with_("unknown_position"), 25.0, **CURVE), one)]
     begin = preparation.completed(one, VALUES | {"spring_stiffness": 4.8})
     last = likelihood.fit(cases, one, begin, preparation.free_parameters(one))
-    monkeypatch.setattr(curve_substitution.foretold, "chance", lambda cases, smaller, larger: chance)
+    monkeypatch.setattr(curve_substitution.cross_validation, "chance", lambda cases, smaller, larger: chance)
     assert (curve_substitution.outdone(cases, STRUCTURE, last, "position") is not None) is drawn
 
 
@@ -194,7 +194,7 @@ def test_a_law_may_miss_a_little_of_what_a_machine_does(monkeypatch, rough, draw
     cases = [likelihood.prepare(recorded(truth, 25.0, **through("unknown_position", SPOTS, torque)), one)]
     begin = preparation.completed(one, VALUES | {"spring_stiffness": 4.8})
     last = likelihood.fit(cases, one, begin, preparation.free_parameters(one))
-    monkeypatch.setattr(curve_substitution.explain, "shows", lambda cases, before, after: True)
+    monkeypatch.setattr(curve_substitution.selection_round, "shows", lambda cases, before, after: True)
     assert (curve_substitution.outdone(cases, STRUCTURE, last, "position") is not None) is drawn
 
 
@@ -257,7 +257,7 @@ def test_friction_that_gives_takes_the_place_of_dry_friction(truth, values, firs
 )
 def test_one_friction_that_gives_is_likelier_than_two_kinds_that_do_as_well(monkeypatch, truth, values, bent):
     """Even if it shows no better than they do."""
-    monkeypatch.setattr(curve_substitution.explain, "shows", lambda cases, before, after: False)
+    monkeypatch.setattr(curve_substitution.selection_round, "shows", lambda cases, before, after: False)
     dry = STRUCTURE.with_("coulomb_friction", "load_dependent_friction")
     cases = [likelihood.prepare(recorded(STRUCTURE.with_(*truth), 25.0, **values), dry)]
     begin = preparation.completed(dry, VALUES | {"coulomb_friction": 0.5, "load_friction": 0.1})

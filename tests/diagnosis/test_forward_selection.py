@@ -493,9 +493,9 @@ def test_what_did_not_last_is_followed_by_another_look(monkeypatch) -> None:
         asked.append(best)
         return next(grown), []
 
-    monkeypatch.setattr(forward_selection.ascent, "start", lambda recordings, first, held: ([], [base]))
-    monkeypatch.setattr(forward_selection.ascent, "refine", lambda cases, structure, begun, held: base)
-    monkeypatch.setattr(forward_selection.ascent, "polish", lambda cases, point: ([], point))
+    monkeypatch.setattr(forward_selection.multistart, "start", lambda recordings, first, held: ([], [base]))
+    monkeypatch.setattr(forward_selection.multistart, "refine", lambda cases, structure, begun, held: base)
+    monkeypatch.setattr(forward_selection.multistart, "polish", lambda cases, point: ([], point))
     monkeypatch.setattr(local_optima, "judged", lambda cases, point: 1.0)
     monkeypatch.setattr(local_optima, "settle", lambda cases, structure, values, held, density: base)
     monkeypatch.setattr(forward_selection.screening, "offered", lambda cases, candidates: candidates)
@@ -560,10 +560,10 @@ def test_the_search_begins_anew_with_what_had_earned_as_much_by_itself(monkeypat
             first, ends[begun[-1][0] if rounds else "joint_elasticity"], tuple(rounds) or (this,), ()
         )
 
-    monkeypatch.setattr(forward_selection.ascent, "start", lambda recordings, first, held: ([], [first]))
-    monkeypatch.setattr(forward_selection.ascent, "refine", lambda cases, structure, begun, held: first)
-    monkeypatch.setattr(forward_selection.ascent, "polish", lambda cases, point: ([], point))
-    monkeypatch.setattr(forward_selection.meetings, "judged_throughout", lambda cases: cases)
+    monkeypatch.setattr(forward_selection.multistart, "start", lambda recordings, first, held: ([], [first]))
+    monkeypatch.setattr(forward_selection.multistart, "refine", lambda cases, structure, begun, held: first)
+    monkeypatch.setattr(forward_selection.multistart, "polish", lambda cases, point: ([], point))
+    monkeypatch.setattr(forward_selection.contact_masking, "judged_throughout", lambda cases: cases)
     monkeypatch.setattr(local_optima, "judged", lambda cases, point: 1.0)
     monkeypatch.setattr(local_optima, "settle", lambda cases, structure, values, held, density: first)
     monkeypatch.setattr(forward_selection.screening, "offered", lambda cases, candidates: candidates)

@@ -442,7 +442,7 @@ def test_a_name_that_two_stretches_speak_for_is_dropped(monkeypatch):
     rng = np.random.default_rng(2)
     lucky = np.concatenate([[300.0, 90.0], 10.0 * rng.standard_normal(40) - 2.0])
     for gains, dropped in ((lucky, True), (lucky[:9], False), (np.abs(lucky), False)):
-        monkeypatch.setattr(diagnose.foretold, "gains", lambda *a, gains=gains: gains)
+        monkeypatch.setattr(diagnose.cross_validation, "gains", lambda *a, gains=gains: gains)
         lasting, _, chances = diagnose._lasting(found, first.structure)
         assert (lasting.last.structure == first.structure) is dropped
         assert set(chances) == (set() if dropped or len(gains) < cross_validation.LEAST else {"quadratic_drag"})
@@ -574,8 +574,8 @@ def test_names_learn_from_a_curve_where_it_found_a_better_place(monkeypatch):
     near = Search(first, best, (), (case,))
     assert diagnose._learned(near, nameless) is near
     begun = []
-    monkeypatch.setattr(diagnose.valleys, "settle", lambda c, s, values, held, d: begun.append(values) or best)
-    monkeypatch.setattr(diagnose.search, "renewed", lambda found, last: found)
+    monkeypatch.setattr(diagnose.local_optima, "settle", lambda c, s, values, held, d: begun.append(values) or best)
+    monkeypatch.setattr(diagnose.forward_selection, "renewed", lambda found, last: found)
     sided = replace(last, free=(*last.free, "shaft_share"), values={**last.values, "shaft_share": 0.9})
     monkeypatch.setattr(model_comparison, "earns", lambda before, after: True)
     diagnose._learned(Search(first, sided, (), (case,)), nameless)

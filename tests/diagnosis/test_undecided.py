@@ -141,8 +141,8 @@ def test_the_experiment_is_for_the_likeliest_rival_and_not_for_one_name_more(mon
     torque = point(1003.0, "motor_lag", "constant_offset")
     swaps = (Swap("dead_band", "constant_offset", torque), Swap("motor_lag", "input_delay", rival))
     asked = []
-    monkeypatch.setattr(diagnose.ready, "with_steps", lambda cases, structure: cases)
-    monkeypatch.setattr(diagnose.experiment, "separate", lambda points, cases: asked.append(points))
+    monkeypatch.setattr(diagnose.preparation, "with_steps", lambda cases, structure: cases)
+    monkeypatch.setattr(diagnose.experiment_design, "separate", lambda points, cases: asked.append(points))
     diagnose._next(Search(point(3000.0), last, (), (), (), swaps))
     diagnose._next(Search(point(3000.0), last, (), (), (), swaps[:1]))
     assert asked == [[last, rival], [last, torque]]
@@ -195,7 +195,9 @@ def test_a_rival_takes_the_place_only_of_what_it_shows_without(monkeypatch, reac
     monkeypatch.setattr(forward_selection, "plausible", lambda cases, p, before: True)
     monkeypatch.setattr(local_optima, "settle", lambda cases, structure, values, held, density: rival)
     monkeypatch.setattr(local_optima, "deepen", lambda cases, p, held: p)
-    monkeypatch.setattr(forward_selection.explain, "shows", lambda cases, without, p: asked.append(without) or shows)
+    monkeypatch.setattr(
+        forward_selection.selection_round, "shows", lambda cases, without, p: asked.append(without) or shows
+    )
     swaps = forward_selection._swapped((), last, before.structure, [before], [close], {})
     assert len(swaps) == kept and asked == ([before] if reached < 1000.0 + UNSURE else [])
 

@@ -359,8 +359,8 @@ def test_a_motion_that_explodes_is_refused(made):
 def test_a_process_that_ran_one_ends_well(made):
     """pythonfmu's library writes to freed memory when it is unloaded; what other libraries free then shows it."""
     script = (
-        "import sys; from pathlib import Path; from twin import kernel, package; import numpy as np\n"
-        "from twin.archive import open_fmu; from twin.running import running\n"
+        "import sys; from pathlib import Path; from twin.simulation import kernel; import numpy as np\n"
+        "from twin.fmi.fmu_archive import open_fmu; from twin.fmi.fmu_instance import running\n"
         "kernel.compiled()\n"
         "with running(open_fmu(Path(sys.argv[1])), ['duty'], ['position']) as r:\n"
         "    r.start({}); r.step(0.0, 0.01, [1.0])\n"

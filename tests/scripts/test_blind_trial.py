@@ -311,7 +311,7 @@ def test_a_tool_that_fails_loses_the_trial_and_not_the_study(monkeypatch: pytest
     def stumble(*given: object, **named: object) -> None:
         raise ZeroDivisionError("by zero")
 
-    monkeypatch.setattr(blind_trial.extend, "diagnose", stumble)
+    monkeypatch.setattr(blind_trial.diagnose, "diagnose", stumble)
     answer = blind_trial.ask(make(5, 1, ("none",), 6.0)[2])
     assert (answer.verdict, answer.first, answer.says) == (FAILED, FAILED, "ZeroDivisionError: by zero")
     lost = replace(outcome({}, {}, kind="none"), answer=answer)

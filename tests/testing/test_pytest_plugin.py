@@ -102,7 +102,8 @@ def test_plugin_runs_in_a_users_suite(files: Path, pytester: pytest.Pytester) ->
 
 def test_a_project_that_asks_for_no_check_waits_for_none() -> None:
     """The plugin is read at every start of pytest."""
-    code = "import sys, pytest; known = {*sys.modules}; import twin.pytest_plugin; print(*({*sys.modules} - known))"
+    asked = "import twin.testing.pytest_plugin"
+    code = f"import sys, pytest; known = {{*sys.modules}}; {asked}; print(*({{*sys.modules}} - known))"
     new = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert "twin.testing.pytest_plugin" in new
     assert {name for name in new if name.split(".")[0] != "twin"} == set()
