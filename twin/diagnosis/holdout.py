@@ -25,6 +25,7 @@ from twin.io.position_loop import own_loop
 from twin.io.recording import Recording, to_fit
 from twin.model.equations import timed
 from twin.model.fitted_model import Model
+from twin.model.stepper import Structure
 
 #: Where in a lone recording the held-out part begins and ends, as shares of it.
 END, MIDDLE = (0.7, 1.0), (0.35, 0.65)
@@ -67,6 +68,21 @@ def split(recordings: Sequence[Recording], where: tuple[float, float] = END) -> 
         return train, held_out
     parts = [Part(r, *(share * float(r.time[-1]) for share in where)) for r in train]
     return [p.recording.without(p.begin, p.end) for p in parts], parts
+
+
+def led(parts: Sequence[Part], structure: Structure, lead: float) -> tuple[list[Recording], list[Part]]:
+    """What a free run through each part goes through, from `lead` seconds ahead or from the start, and the part in it.
+
+    Physics that depends on the time since the start must run from the start.
+    """
+    runs, inside = [], []
+    for part in parts:
+        begin = 0.0 if timed(structure) else max(part.begin - lead, 0.0)
+        run = part.recording.part(begin, part.end)
+        shift = float(part.recording.time[part.recording.time >= begin][0])
+        runs.append(run)
+        inside.append(Part(run, part.begin - shift, part.end - shift))
+    return runs, inside
 
 
 def _free_run(fmu: Path, part: Part, lead: float, closed: bool) -> np.ndarray:

@@ -191,12 +191,29 @@ class Replay:
         return 100.0 * self.rmse(recording) / span if span > 0.0 else math.inf
 
 
-def start_of(recording: Recording, window: float = 0.02) -> tuple[float, float]:
-    """Position and velocity at the first stamp, from the readings of the first `window` s.
+@dataclass(frozen=True)
+class Start:
+    """Position and velocity at the first stamp, and the standard error of that velocity; zero where it is taken as
+    rest."""
 
-    They lie on a line, or on a parabola where that is clearly better: a line through an axis that sets off would
-    start it faster than it was. A speed that is within what noise and resolution make of a resting axis is taken as
-    rest. A recording of speed begins at position zero.
+    position: float
+    velocity: float
+    velocity_error: float
+
+
+#: Ways an axis may begin to move, as powers of time: rest, setting off from rest, steady speed, changing speed.
+_BEGINNINGS = ((0,), (0, 2), (0, 1), (0, 1, 2))
+#: Chi-square that each term of motion has to earn at the start: three standard errors.
+_EARNED = 9.0
+
+
+def start_state(recording: Recording, window: float = 0.02) -> Start:
+    """State at the first stamp from the readings of the first `window` s, with the fewest terms that describe them.
+
+    A line through an axis that sets off from rest would start it faster than it was, and the position error would be
+    that speed times the time constant ever after. So rest, acceleration from rest, a steady speed and a changing speed
+    compete by their squared error over the noise plus a price for each term. A recording of speed begins at position
+    zero. Raises BadInput where nothing was read.
     """
     seen = np.flatnonzero(np.isfinite(recording.output))
     if seen.size == 0:
@@ -204,20 +221,29 @@ def start_of(recording: Recording, window: float = 0.02) -> tuple[float, float]:
     near = seen[recording.time[seen] <= max(recording.time[seen[0]] + window, recording.time[seen[:5][-1]])]
     time, output = recording.time[near] - recording.time[0], recording.output[near]
     if recording.is_speed:
-        return 0.0, float(np.mean(output))
+        return Start(0.0, float(np.mean(output)), float(np.std(output)) / math.sqrt(len(near)))
     if len(near) < 3:
-        return float(output[0]), 0.0
-    for degree in (2, 1):
-        powers = time[:, None] ** np.arange(degree + 1)
-        found, _, rank, _ = np.linalg.lstsq(powers, output, rcond=None)
-        spare = len(near) - degree - 1
-        if rank <= degree or spare < 2 * degree - 1:
-            continue
-        noise = max(float(np.sum((output - powers @ found) ** 2)) / spare, recording.resolution**2 / 12.0)
-        error = np.sqrt(noise * np.diag(np.linalg.inv(powers.T @ powers)))
-        if abs(found[degree]) > (4.0 if degree == 2 else 3.0) * error[degree]:
-            return float(found[0]), float(found[1])
-    return float(output.mean()), 0.0
+        return Start(float(output[0]), 0.0, 0.0)
+    fits = []
+    for powers in _BEGINNINGS:
+        columns = time[:, None] ** np.array(powers)
+        found, _, rank, _ = np.linalg.lstsq(columns, output, rcond=None)
+        spare = len(near) - len(powers)
+        if rank == len(powers) and spare >= 2 * len(powers) - 3:
+            fits.append((powers, columns, found, float(np.sum((output - columns @ found) ** 2)), spare))
+    _, _, _, rest, spare = fits[-1]
+    noise = max(rest / spare, recording.resolution**2 / 12.0, 1e-300)
+    powers, columns, found, _, _ = min(fits, key=lambda f: f[3] / noise + _EARNED * (len(f[0]) - 1))
+    if 1 not in powers:
+        return Start(float(found[0]), 0.0, 0.0)
+    at = powers.index(1)
+    return Start(float(found[0]), float(found[at]), math.sqrt(noise * np.linalg.inv(columns.T @ columns)[at, at]))
+
+
+def start_of(recording: Recording) -> tuple[float, float]:
+    """Position and velocity at the first stamp (`start_state`)."""
+    start = start_state(recording)
+    return start.position, start.velocity
 
 
 def replay(fmu: Path, recording: Recording, start: tuple[float, float] | None = None, closed: bool = False) -> Replay:

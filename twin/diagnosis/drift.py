@@ -1,0 +1,208 @@
+"""How far noise alone takes a free run from the recording, and how likely an error as large as the one found is.
+
+A free run starts at the recorded state and gets no reading afterwards. A torque that the model lacks, even white noise,
+is integrated twice, so that the error drifts: its samples hang together over the whole run. The mean of its squares is
+therefore no chi-square of as many degrees of freedom as there are readings, but a weighted sum of a few:
+
+    error = G z,  z ~ N(0, I)      ->      mean square = sum_i lambda_i z_i^2,  lambda_i eigenvalues of G' W G,
+
+with W the share of the readings at each point of a coarse grid. G follows from the linear dynamics of a small error
+e along the run, with stiffness k(t) and damping b(t) from the laws of the model and white torque noise of density q,
+
+    e'' = -k(t) e - b(t) e' + w(t),    E[w(t) w(s)] = q delta(t - s).
+
+Where dry friction holds the axis, noise does not move it and the speed error is zero. The distribution function is the
+saddlepoint approximation of Lugannani and Rice (Kuonen, Biometrika 86, 1999).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import ndtr
+
+FloatArray = NDArray[np.float64]
+
+#: Of a mode that swings so far within one step, rad, only so much is followed: a coarse step would make it grow.
+_SWING = 1.0
+#: Share of the largest weight below which a chi-square adds nothing.
+_NOTHING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """How a small error of a free run moves; arrays (N,), one entry a stamp."""
+
+    time: FloatArray  # s
+    stiffness: FloatArray  # 1/s^2
+    damping: FloatArray  # 1/s
+    moving: NDArray[np.bool_]  # whether the axis moves, or dry friction holds it
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """What makes an error: noise on the torque, and of the state at the start."""
+
+    torque: float  # density, axis unit^2/s^3
+    position: float  # variance at the start, axis unit^2
+    velocity: float  # variance at the start, (axis unit/s)^2
+
+
+def _stepped(dynamics: Dynamics, edges: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    """Transition (K, 2, 2) of position and velocity error over each step of the grid, and what a torque noise of
+    density one adds to their covariance (K, 2, 2).
+
+    `edges` (K + 1,) are the stamps at which the steps begin and end.
+    """
+    count = len(edges) - 1
+    moved, added = np.tile(np.eye(2), (count, 1, 1)), np.zeros((count, 2, 2))
+    interval = np.append(np.diff(dynamics.time), 0.0)
+    for offset in range(int(np.max(np.diff(edges), initial=0))):
+        at = edges[:-1] + offset
+        inside = at < edges[1:]
+        at = np.where(inside, at, 0)
+        h = np.where(inside, interval[at], 0.0)
+        held = inside & ~dynamics.moving[at]
+        turn = np.clip(dynamics.stiffness[at] * h * h, -_SWING, _SWING)
+        fade = np.exp(-np.clip(dynamics.damping[at] * h, -_SWING, None))
+        step = np.empty((count, 2, 2))
+        # Semi-implicit: the velocity first, the position with the velocity that it has then.
+        step[:, 1, 0] = -fade * np.divide(turn, h, out=np.zeros(count), where=h > 0.0)
+        step[:, 1, 1] = fade
+        step[:, 0, 0] = 1.0 - fade * turn
+        step[:, 0, 1] = fade * h
+        step[held] = [[1.0, 0.0], [0.0, 0.0]]
+        moved = step @ moved
+        added = step @ added @ step.transpose(0, 2, 1)
+        added[:, 1, 1] += np.where(held, 0.0, h)
+    return moved, added
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Square roots (K, 2, 2) of 2 by 2 covariances (K, 2, 2), also where one is singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
+
+
+def factor(dynamics: Dynamics, edges: NDArray[np.intp], noise: Noise, speed: bool) -> FloatArray:
+    """What each of several independent unit normals does to the error (K, sources) at the end of each step of a grid.
+
+    The covariance of the error is its product with its transpose; reading noise is not part of it.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Of a small error along the free run.
+    edges : ndarray of int, shape (K + 1,)
+        Stamps at which the steps of the grid begin and end.
+    noise : Noise
+        Torque noise and the uncertainty of the initial state.
+    speed : bool
+        Whether the output is a speed.
+    """
+    moved, added = _stepped(dynamics, edges)
+    roots = math.sqrt(noise.torque) * _root(added)
+    count = len(moved)
+    state = np.zeros((2, 2 + 2 * count))
+    state[0, 0], state[1, 1] = math.sqrt(noise.position), math.sqrt(noise.velocity)
+    row = 1 if speed else 0
+    made = np.empty((count, state.shape[1]))
+    for k in range(count):
+        state = moved[k] @ state
+        state[:, 2 + 2 * k : 4 + 2 * k] = roots[k]
+        made[k] = state[row]
+    return made
+
+
+@dataclass(frozen=True, eq=False)
+class MeanSquare:
+    """A mean square as a weighted sum of chi-squares: `weights` (M,), each of `freedom` (M,) degrees of freedom."""
+
+    weights: FloatArray
+    freedom: FloatArray
+
+    @property
+    def mean(self) -> float:
+        """Its expectation."""
+        return float(self.weights @ self.freedom)
+
+    def chance(self, value: float) -> float:
+        """The probability of a mean square above `value`; one where nothing is random."""
+        kept = self.weights > _NOTHING * float(self.weights.max(initial=0.0))
+        scale, weights = self.mean, self.weights[kept]
+        if not scale > 0.0:
+            return 1.0 if value <= 0.0 else 0.0
+        return _tail(weights / scale, self.freedom[kept], value / scale)
+
+
+def _tail(weights: FloatArray, freedom: FloatArray, value: float) -> float:
+    """P(sum of weights times chi-squares > value), for a sum whose mean is one."""
+    if value <= 0.0:
+        return 1.0
+    limit = 0.5 / float(weights.max())
+
+    def slope(t: float) -> float:
+        return float(np.sum(freedom * weights / (1.0 - 2.0 * t * weights))) - value
+
+    low = -1.0
+    while slope(low) > 0.0:
+        low *= 4.0
+    # At the limit the slope has no bound, but numbers have.
+    high = limit * (1.0 - 1e-12)
+    at = brentq(slope, low, high, xtol=1e-14 * limit) if slope(high) > 0.0 else high
+    left = 1.0 - 2.0 * at * weights
+    bend = float(np.sum(2.0 * freedom * weights**2 / left**2))
+    depth = at * value + 0.5 * float(np.sum(freedom * np.log(left)))
+    w, v = math.copysign(math.sqrt(max(2.0 * depth, 0.0)), at), at * math.sqrt(bend)
+    if abs(w) < 1e-3 or abs(v) < 1e-3:
+        # At the mean both vanish; their limit holds the skewness.
+        skew = float(np.sum(8.0 * freedom * weights**3)) / float(np.sum(2.0 * freedom * weights**2)) ** 1.5
+        return float(np.clip(0.5 - skew / (6.0 * math.sqrt(2.0 * math.pi)), 0.0, 1.0))
+    return float(np.clip(1.0 - ndtr(w + math.log(v / w) / w), 0.0, 1.0))
+
+
+def mean_square(covariance: FloatArray, share: FloatArray, reading: float, readings: int) -> MeanSquare:
+    """The distribution of the mean square of an error.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (K, K)
+        Of the error at the points of the grid, without reading noise.
+    share : ndarray, shape (K,)
+        Share of the readings that each point stands for.
+    reading : float
+        Variance of the reading noise, which is independent from reading to reading.
+    readings : int
+        How many readings there are.
+    """
+    root = np.sqrt(share)
+    weights = np.maximum(np.linalg.eigvalsh(covariance * np.outer(root, root)), 0.0)
+    count = max(readings, 1)
+    return MeanSquare(np.append(weights, reading / count), np.append(np.ones(len(weights)), float(count)))
+
+
+def fitted(covariance: FloatArray, sensitivity: FloatArray, reading: FloatArray) -> FloatArray:
+    """The covariance (K, K) of the error of a free run whose parameters were fitted to the same readings.
+
+    The likelihood of a linear model with this noise is that of generalised least squares, whose residuals have the
+    covariance C - S (S' C^-1 S)^-1 S': what the parameters can follow is no error any more.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (K, K)
+        C, without reading noise.
+    sensitivity : ndarray, shape (K, n)
+        S, what each parameter does to the free run.
+    reading : ndarray, shape (K,)
+        Variance of the mean of the readings that each point stands for.
+    """
+    scale = np.sqrt(np.maximum(np.sum(sensitivity**2, axis=0), 1e-300))
+    columns = sensitivity / scale
+    whole = covariance + np.diag(reading)
+    solved = np.linalg.solve(whole, columns)
+    information = columns.T @ solved
+    return np.asarray(covariance - columns @ np.linalg.pinv(information, rcond=1e-10, hermitian=True) @ columns.T)
