@@ -26,10 +26,10 @@ from excitations import EXCITATIONS, FREE
 
 from twin.diagnosis import adequacy, holdout
 from twin.diagnosis.adequacy import FreeRun
-from twin.diagnosis.holdout import Part
+from twin.diagnosis.holdout import HoldoutPart
 from twin.effects.catalogue import BASE
-from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Point
+from twin.estimation import likelihood, optimizer, preparation
+from twin.estimation.fit import Fit
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -65,19 +65,19 @@ def record(seed: int, kind: Kind, duration: float = 40.0) -> tuple[Recording, St
     ran = textbook_rig.simulate(rig, effects, time, duty, seed)
     count = 2.0 * np.pi / rig.counts_per_revolution
     recording = Recording(f"{name} {seed}", time, duty, ran.counts * count, "%", "rad", count)
-    return recording, structure, preparation.completed(structure, values)
+    return recording, structure, preparation.complete_values(structure, values)
 
 
-def judge(recording: Recording, structure: Structure, values: dict[str, float]) -> tuple[FreeRun, FreeRun, Point]:
+def judge(recording: Recording, structure: Structure, values: dict[str, float]) -> tuple[FreeRun, FreeRun, Fit]:
     """The free runs through the fitted and the held-out part of the model fitted from these values."""
     train, held_out = holdout.split([recording])
-    cases = preparation.with_steps(preparation.prepare(train, structure), structure)
+    cases = preparation.with_internal_step(preparation.prepare_recordings(train, structure), structure)
     free = preparation.free_parameters(structure)
-    fitted = likelihood.fit(cases, structure, values, free)
+    fitted = optimizer.fit_with_process_noise(cases, structure, values, free)
     point = adequacy.at_own_noise(cases, fitted)
-    seen = adequacy.together(adequacy.free_runs([Part(r) for r in train], cases, point, True), True)
+    seen = adequacy.together(adequacy.free_runs([HoldoutPart(r) for r in train], cases, point, True), True)
     tests, parts = holdout.led(held_out, structure, LEAD)
-    unseen = adequacy.free_runs(parts, preparation.prepare(tests, structure), point, False)
+    unseen = adequacy.free_runs(parts, preparation.prepare_recordings(tests, structure), point, False)
     return seen, adequacy.together(unseen, False), point
 
 

@@ -86,9 +86,9 @@ def record(simulator: str, rig: Any, excitation: str, duration: float, rng: np.r
 def bounds(recording: Recording, truth: dict[str, float]) -> dict[str, float]:
     """Cramer-Rao bound of every parameter, all of them unknown, with the noise that the recording shows."""
     structure = base_structure()
-    cases, free = [likelihood.prepare(recording, structure)], free_parameters(structure)
-    density = likelihood.best_density(cases, structure, truth)
-    point = likelihood.evaluate(cases, structure, truth, density, free)
+    cases, free = [likelihood.prepare_recording(recording, structure)], free_parameters(structure)
+    process_noise = likelihood.most_likely_process_noise(cases, structure, truth)
+    point = likelihood.evaluate(cases, structure, truth, process_noise, free)
     return dict(zip(free, np.sqrt(np.diag(point.covariance)).tolist(), strict=True))
 
 

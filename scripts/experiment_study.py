@@ -42,10 +42,15 @@ from excitations import Signal, paper, rich
 from mujoco_rig import TURN, Rig, draw_effect, draw_rig, simulate
 
 from twin.diagnosis import model_comparison, selection_round
-from twin.diagnosis.experiment_design import NEEDED, Limits, separate, sharpen
+from twin.diagnosis.experiment_design import (
+    NEEDED_LOG_LIKELIHOOD,
+    Limits,
+    design_for_discrimination,
+    design_for_precision,
+)
 from twin.diagnosis.result import Experiment
 from twin.estimation import likelihood, local_optima, multistart, preparation
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 from twin.io.recording import Recording
 
 Array = NDArray[np.float64]
@@ -122,41 +127,49 @@ def beyond(rig: Rig, effects: Sequence[Concealed], design: Experiment, limits: L
     )
 
 
-def in_mesh(case: Case, point: Point) -> Case:
+def in_mesh(case: PreparedRecording, point: Fit) -> PreparedRecording:
     """The case with the motor on the side of its gap that the recording speaks for."""
     trials = [replace(case, contact=s) for s in (0.0, -1.0, 1.0)]
-    return min(trials, key=lambda c: likelihood.evaluate([c], point.structure, point.values, point.density).deviance)
+    return min(
+        trials, key=lambda c: likelihood.evaluate([c], point.structure, point.values, point.process_noise).deviance
+    )
 
 
-def fitted(first: Case, recordings: Sequence[Recording], point: Point, *others: Point) -> Point:
+def fitted(first: PreparedRecording, recordings: Sequence[Recording], point: Fit, *others: Fit) -> Fit:
     """The model refitted to the first recording and others, from its values or those it shares with other points."""
-    added = preparation.with_steps(preparation.prepare(recordings, point.structure), point.structure)
+    added = preparation.with_internal_step(preparation.prepare_recordings(recordings, point.structure), point.structure)
     added = [replace(in_mesh(c, point), reading_variance=first.reading_variance) for c in added]
-    cases = [*preparation.with_steps([first], point.structure), *added]
+    cases = [*preparation.with_internal_step([first], point.structure), *added]
     starts = [{n: p.values.get(n, v) for n, v in point.values.items()} for p in (point, *others)]
-    tried = [local_optima.settle(cases, point.structure, v, {}, point.density) for v in starts]
+    tried = [local_optima.refit(cases, point.structure, v, {}, point.process_noise) for v in starts]
     return min(tried, key=lambda p: p.deviance)
 
 
-def smallest(first: Recording) -> tuple[list[Case], Point, Point]:
+def smallest(first: Recording) -> tuple[list[PreparedRecording], Fit, Fit]:
     """The base model of a recording, roughly and as structures compete with it, the way the tool comes to it."""
     structure = preparation.base_structure()
-    cases, rough = multistart.start([first], structure, {})
-    cases, fine = multistart.polish(cases, multistart.refine(cases, structure, rough, {}))
-    return cases, rough, local_optima.settle(cases, structure, fine.values, {}, local_optima.judged(cases, fine))
+    cases, rough = multistart.coarse_starts([first], structure, {})
+    cases, fine = multistart.leave_local_optima(cases, multistart.fit_from_starts(cases, structure, rough, {}))
+    return (
+        cases,
+        rough,
+        local_optima.refit(cases, structure, fine.values, {}, local_optima.judging_process_noise(cases, fine)),
+    )
 
 
 # ---- the worst-known parameter ----
 
 
-def worths(recording: Recording, first: Case, point: Point) -> tuple[Array, Array]:
+def worths(recording: Recording, first: PreparedRecording, point: Fit) -> tuple[Array, Array]:
     """Of each stretch of a recording: slope (m, n) and information (m, n, n) about the free parameters."""
-    (case,) = preparation.with_steps(preparation.prepare([recording], point.structure), point.structure)
+    (case,) = preparation.with_internal_step(
+        preparation.prepare_recordings([recording], point.structure), point.structure
+    )
     case = replace(in_mesh(case, point), reading_variance=first.reading_variance)
-    run = likelihood.innovations(case, point.structure, point.values, point.density, point.free)
+    run = likelihood.innovations(case, point.structure, point.values, point.process_noise, point.free)
     variance = run.variance * point.scale
     z = np.abs(run.error) / np.sqrt(variance)
-    weight = np.minimum(1.0, likelihood.ROBUST_LIMIT / np.maximum(z, 1e-300)) / variance
+    weight = np.minimum(1.0, likelihood.HUBER_LIMIT / np.maximum(z, 1e-300)) / variance
     edges = [*np.searchsorted(recording.time, np.arange(0.0, recording.time[-1], STRETCH) - 1e-9), len(recording.time)]
     pairs = [(run.slopes[a:b], weight[a:b, None], run.error[a:b]) for a, b in pairwise(edges)]
     return np.array([(s * w).T @ e for s, w, e in pairs]), np.array([(s * w).T @ s for s, w, _ in pairs])
@@ -181,7 +194,7 @@ def parameter_trial(seed: int) -> Row | None:
     first = record(rig, [], paper(FIRST, rng), seed)
     cases, _, point = smallest(first)
     limits = given_limits(first)
-    design = sharpen(point, cases, limits)
+    design = design_for_precision(point, cases, limits)
     if len(design.time) == 0:
         return None
     (name,) = design.about
@@ -210,25 +223,25 @@ def parameter_trial(seed: int) -> Row | None:
 # ---- two rivals ----
 
 
-def rivals(first: Recording, pair: tuple[str, str]) -> tuple[list[Case], dict[str, Point]]:
+def rivals(first: Recording, pair: tuple[str, str]) -> tuple[list[PreparedRecording], dict[str, Fit]]:
     """Both models of a pair as the tool fits them; one may be missing where a recording cannot show it."""
     cases, rough, base = smallest(first)
-    found = selection_round.compete(cases, base, rough, pair, {})
+    found = selection_round.run_round(cases, base, rough, pair, {})
     return cases, {h.added[0]: h.point for h in found.rivals}
 
 
-def units(one: Point, other: Point) -> float:
+def units(one: Fit, other: Fit) -> float:
     """Log-likelihood by which one model leads the other, in units of what it is worth."""
-    return 0.5 * (other.deviance - one.deviance) / model_comparison.worth([one, other])
+    return 0.5 * (other.deviance - one.deviance) / model_comparison.overdispersion([one, other])
 
 
 @dataclass(frozen=True, eq=False)
 class Contest:
     """Two models, the first of them true, as the first recording and as all recordings together have them."""
 
-    first: Case
-    points: tuple[Point, Point]
-    judges: tuple[Point, Point]
+    first: PreparedRecording
+    points: tuple[Fit, Fit]
+    judges: tuple[Fit, Fit]
 
     def lead(self, *second: Recording) -> float:
         """Log-likelihood by which the truth leads once both are refitted, from every start that is known."""
@@ -243,7 +256,7 @@ def verdict(contest: Contest, second: Recording) -> float:
     low, high = -1, len(steps)
     while high - low > 1:
         middle = (low + high) // 2
-        if contest.lead(second.part(0.0, steps[middle])) >= NEEDED:
+        if contest.lead(second.part(0.0, steps[middle])) >= NEEDED_LOG_LIKELIHOOD:
             high = middle
         else:
             low = middle
@@ -259,13 +272,13 @@ def rivals_trial(pair: tuple[str, str], seed: int) -> Row | None:
         effect = draw_effect(np.random.default_rng(draw), pair[0], rig, float(size), FIRST)
         first = record(rig, [effect], signal, seed)
         cases, fits = rivals(first, pair)
-        if set(fits) == set(pair) and abs(units(fits[pair[0]], fits[pair[1]])) < NEEDED:
+        if set(fits) == set(pair) and abs(units(fits[pair[0]], fits[pair[1]])) < NEEDED_LOG_LIKELIHOOD:
             break
     else:
         return None
     points = fits[pair[0]], fits[pair[1]]
     limits = given_limits(first)
-    design = separate(sorted(points, key=lambda p: p.deviance), cases, limits)
+    design = design_for_discrimination(sorted(points, key=lambda p: p.deviance), cases, limits)
     if len(design.time) == 0:
         return None
     answer = record(rig, [effect], repeated(design, LONGEST / 2.0), seed + 1)
@@ -273,7 +286,7 @@ def rivals_trial(pair: tuple[str, str], seed: int) -> Row | None:
     second = [answer, *minutes]
     judges = fitted(cases[0], second, *points), fitted(cases[0], second, *reversed(points))
     contest = Contest(cases[0], points, judges)
-    if contest.lead() >= NEEDED:
+    if contest.lead() >= NEEDED_LOG_LIKELIHOOD:
         return None  # what looked undecided was a fit that had not arrived
     told = [verdict(contest, r) for r in second]
     outside = beyond(rig, [effect], design, limits, seed + 3)

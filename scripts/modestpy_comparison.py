@@ -66,11 +66,13 @@ def made(samples: int) -> Recording:
 
 def ours(recording: Recording) -> tuple[dict[str, float], float]:
     """Estimates and seconds, warm."""
-    case = likelihood.prepare(recording, STRUCTURE)
+    case = likelihood.prepare_recording(recording, STRUCTURE)
     fits, seconds = [], []
     for _ in range(4):
         begun = time.process_time()
-        fits.append(likelihood.climb([case], STRUCTURE, BEGIN, 0.0, tuple(TRUTH), rounds=100, tolerance=1e-9))
+        fits.append(
+            likelihood.levenberg_marquardt([case], STRUCTURE, BEGIN, 0.0, tuple(TRUTH), rounds=100, tolerance=1e-9)
+        )
         seconds.append(time.process_time() - begun)
     return fits[-1].values, min(seconds[1:])
 

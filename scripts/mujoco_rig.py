@@ -601,8 +601,8 @@ def simulate(
     at = (np.arange(steps) - before + 0.5) * step
     command = _mean_duty(time - time[0], duty, at, parameters.get("input_delay", {"time": 0.0})["time"], step)
     rng = np.random.default_rng(seed)
-    density = np.array([rig.motor_noise, rig.link_noise]) * (float(noise) / sqrt(step))
-    shaking = rng.standard_normal((steps, 2)) * density
+    process_noise = np.array([rig.motor_noise, rig.link_noise]) * (float(noise) / sqrt(step))
+    shaking = rng.standard_normal((steps, 2)) * process_noise
     track = _run(rig, machine, parameters, at, command, shaking, step)
 
     # Column order: link angle, motor angle at the instant; link and motor speed half a step after; torque.

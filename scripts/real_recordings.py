@@ -27,7 +27,7 @@ from scipy.signal import lfilter
 from twin.diagnosis import diagnose, holdout
 from twin.diagnosis.result import Diagnosis
 from twin.estimation import estimate, maximum_likelihood
-from twin.estimation.likelihood import Point
+from twin.estimation.likelihood import Fit
 from twin.io import recording
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
@@ -48,7 +48,7 @@ def _errors(found: Diagnosis, which: str) -> Errors:
 
 def _run(model: Model, recordings: Sequence[recording.Recording], closed: bool = False) -> Errors:
     """The same for a model of its own, by the kernel (which the FMU equals), from the recorded start."""
-    return [(r.name, holdout.rerun(model, r, closed) - r.output) for r in recordings]
+    return [(r.name, holdout.simulate_recording(model, r, closed) - r.output) for r in recordings]
 
 
 def _rms(errors: Sequence[FloatArray]) -> float:
@@ -76,7 +76,7 @@ def _radians(recordings: Recordings, errors: Errors) -> Figures:
     }
 
 
-def _emps_numbers(model: Model | Point) -> Figures:
+def _emps_numbers(model: Model | Fit) -> Figures:
     """Mass and forces from accelerations, by the published drive gain of 35.1507 N/V."""
     mass = 35.1507 / model.values["input_gain"]
     forces = {"Fv, N s/m": "viscous_friction", "Fc, N": "coulomb_friction", "offset, N": "offset"}
@@ -133,7 +133,7 @@ def _gap(model: Model) -> Figures:
     }
 
 
-def _nothing(model: Model | Point) -> Figures:
+def _nothing(model: Model | Fit) -> Figures:
     return {}
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from twin.codegen import latex
 from twin.control.cosimulation import ModelPlant
 from twin.diagnosis import residual_torque
-from twin.diagnosis.residual_torque import Missing, Segment
+from twin.diagnosis.residual_torque import MissingTorque, Segment
 from twin.diagnosis.result import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
 from twin.io.recording import Fault, Recording
 from twin.io.rig_file import Clock, Column, Rig
@@ -79,7 +79,7 @@ def example(verdict: str = "explained", several: bool = False, axis_unit: str = 
     velocity = np.gradient(position, first.time)
     torque = -3.1 * np.sin(position - 0.2)
     noise = 0.05 * np.sin(1e3 * first.time)
-    missing = Missing(
+    missing = MissingTorque(
         first.time, torque + noise, position, velocity, np.gradient(velocity, first.time), first.input, 0.002
     )
     found = (
@@ -105,8 +105,8 @@ def example(verdict: str = "explained", several: bool = False, axis_unit: str = 
         traces=tuple(traces),
         missing_before=missing,
         missing_after=lacking,
-        shapes_before=tuple(residual_torque.shapes(missing)),
-        shapes_after=tuple(residual_torque.shapes(lacking)),
+        shapes_before=tuple(residual_torque.torque_shapes(missing)),
+        shapes_after=tuple(residual_torque.torque_shapes(lacking)),
         recordings=recordings,
         experiment=Experiment("Travel over more than half a turn.", *excitation(2.0)),
         undecided=(Undecided(("gravity", "spring"), (0.62, 0.37), "travel over more than half a turn"),),

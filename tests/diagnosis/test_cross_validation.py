@@ -9,11 +9,11 @@ import pytest
 from axis_runs import run, steps
 from scipy.signal import lfilter
 
-from twin.diagnosis import cross_validation, nonparametric
-from twin.diagnosis.nonparametric import Term
+from twin.diagnosis import cross_validation, nonparametric, thresholds
+from twin.diagnosis.nonparametric import CurveTerm
 from twin.effects.knots import KNOTS, through
 from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -35,62 +35,64 @@ def recorded(hump: float, seconds: float = 20.0) -> Recording:
     return Recording("made", time, command, np.round(y / COUNT) * COUNT, "%", "rad", COUNT)
 
 
-def compared(recording: Recording) -> tuple[list[Case], Point, Point]:
-    cases = [likelihood.prepare(recording, PLAIN)]
-    density = likelihood.density_of(cases[0], 0.1)
-    plain = likelihood.climb(cases, PLAIN, VALUES, density, preparation.free_parameters(PLAIN))
-    return cases, plain, nonparametric.finish(cases, nonparametric.sketch(cases, plain, Term("velocity")))
+def compared(recording: Recording) -> tuple[list[PreparedRecording], Fit, Fit]:
+    cases = [likelihood.prepare_recording(recording, PLAIN)]
+    process_noise = likelihood.process_noise_of(cases[0], 0.1)
+    plain = likelihood.levenberg_marquardt(cases, PLAIN, VALUES, process_noise, preparation.free_parameters(PLAIN))
+    return cases, plain, nonparametric.fit_curve(cases, nonparametric.sketch_curve(cases, plain, CurveTerm("velocity")))
 
 
 def test_what_is_there_is_foretold():
     cases, plain, curve = compared(recorded(hump=2.0))
-    assert cross_validation.chance(cases, plain, curve) < cross_validation.SURE
+    assert cross_validation.gain_p_value(cases, plain, curve) < thresholds.CURVE_MAX_P_VALUE
 
 
 def test_knots_that_follow_slow_noise_foretell_nothing():
     cases, plain, curve = compared(recorded(hump=0.0))
     assert plain.deviance - curve.deviance > 10.0 * KNOTS  # white noise would give each knot about one
-    assert cross_validation.chance(cases, plain, curve) > 0.05
+    assert cross_validation.gain_p_value(cases, plain, curve) > 0.05
 
 
 def test_a_model_does_no_better_than_itself():
     cases, plain, _ = compared(recorded(hump=0.0))
-    assert cross_validation.chance(cases, plain, plain) == 1.0
+    assert cross_validation.gain_p_value(cases, plain, plain) == 1.0
 
 
 def test_every_reading_that_is_judged_is_left_out_once():
     """With nothing to fit, what the stretches gain is what the models differ by on all that is judged."""
     cases, plain, _ = compared(recorded(hump=0.5))
-    other = likelihood.evaluate(cases, PLAIN, {**plain.values, "viscous_friction": 2.2}, plain.density)
-    found = cross_validation.gains(cases, plain, other)
-    (one,), (two,) = (cross_validation._losses(cases, p, plain.scale) for p in (plain, other))
+    other = likelihood.evaluate(cases, PLAIN, {**plain.values, "viscous_friction": 2.2}, plain.process_noise)
+    found = cross_validation.block_gains(cases, plain, other)
+    (one,), (two,) = (cross_validation._reading_losses(cases, p, plain.scale) for p in (plain, other))
     assert len(found) == 40 and found.sum() == pytest.approx(one.sum() - two.sum())
     hidden = cases[0].drive.time < 7.0
-    (judged,) = preparation.with_steps([replace(cases[0], unforeseen=hidden)], PLAIN)
-    assert cross_validation.gains([judged], plain, other).sum() == pytest.approx((one - two)[~hidden].sum())
+    (judged,) = preparation.with_internal_step([replace(cases[0], contact_mask=hidden)], PLAIN)
+    assert cross_validation.block_gains([judged], plain, other).sum() == pytest.approx((one - two)[~hidden].sum())
 
 
 def test_of_a_few_seconds_nothing_is_said():
     cases, plain, curve = compared(recorded(hump=2.0, seconds=4.0))
-    assert cross_validation.chance(cases, plain, curve) == 1.0
+    assert cross_validation.gain_p_value(cases, plain, curve) == 1.0
 
 
 def test_what_acts_in_a_few_places_only_is_no_chance() -> None:
     rng = np.random.default_rng(7)
     nothing = rng.standard_normal(40)
     few = np.concatenate([rng.uniform(20.0, 900.0, 9), nothing[9:]])
-    assert cross_validation.by_chance(few) < cross_validation.SURE
-    assert cross_validation.by_chance(-few) > 0.5 and cross_validation.by_chance(nothing) > 0.05
+    assert cross_validation.p_value_of_gains(few) < thresholds.CURVE_MAX_P_VALUE
+    assert cross_validation.p_value_of_gains(-few) > 0.5 and cross_validation.p_value_of_gains(nothing) > 0.05
     # One loss among the largest, and it may be chance again.
-    assert cross_validation.by_chance(np.append(few, -400.0)) > cross_validation.SURE
+    assert cross_validation.p_value_of_gains(np.append(few, -400.0)) > thresholds.CURVE_MAX_P_VALUE
 
 
 @pytest.mark.parametrize("tails", ["light", "heavy"])
 def test_changes_of_random_sign_are_seldom_no_chance(tails: str) -> None:
     rng = np.random.default_rng(8)
     sizes = rng.standard_normal((3000, 40)) if tails == "light" else rng.standard_cauchy((3000, 40))
-    said = np.array([cross_validation.by_chance(row) for row in sizes])
-    for level in (0.2, 0.05, cross_validation.SURE):
+    said = np.array([cross_validation.p_value_of_gains(row) for row in sizes])
+    for level in (0.2, 0.05, thresholds.CURVE_MAX_P_VALUE):
         # Above three standard deviations of what is counted it is more than the level.
         assert np.mean(said <= level) < level + 3.0 * np.sqrt(level / len(said))
-    assert cross_validation.by_chance(np.ones(20)) < 1e-4 and cross_validation.by_chance(-np.ones(20)) == 1.0
+    assert (
+        cross_validation.p_value_of_gains(np.ones(20)) < 1e-4 and cross_validation.p_value_of_gains(-np.ones(20)) == 1.0
+    )

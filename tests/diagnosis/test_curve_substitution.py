@@ -10,11 +10,11 @@ import pytest
 from axis_runs import SANE, run, steps
 from scipy.interpolate import interp1d
 
-from twin.diagnosis import curve_substitution, diagnose
+from twin.diagnosis import curve_substitution, diagnose, thresholds
 from twin.effects.catalogue import CANDIDATES
 from twin.effects.knots import KNOTS, names, spots, through
 from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -45,16 +45,16 @@ def recorded(truth: Structure, largest: float = 25.0, **values: float) -> Record
     )  # fmt: skip
 
 
-def named(recording: Recording) -> tuple[list[Case], Point]:
+def named(recording: Recording) -> tuple[list[PreparedRecording], Fit]:
     """Gravity and spring, fitted from where they cancel and from where they do not."""
-    cases = [likelihood.prepare(recording, BOTH)]
+    cases = [likelihood.prepare_recording(recording, BOTH)]
     free = preparation.free_parameters(BOTH)
-    fits = [likelihood.fit(cases, BOTH, VALUES | begin, free) for begin in (AGAINST, WITH)]
+    fits = [likelihood.fit_with_process_noise(cases, BOTH, VALUES | begin, free) for begin in (AGAINST, WITH)]
     return cases, min(fits, key=lambda p: p.deviance)
 
 
 @cache
-def stiffening() -> tuple[list[Case], Point]:
+def stiffening() -> tuple[list[PreparedRecording], Fit]:
     return named(recorded(STRUCTURE.with_("unknown_position"), **CURVE))
 
 
@@ -63,16 +63,16 @@ def test_any_effect_may_stand_beside_gravity(effect: str) -> None:
     """Only torques that follow from the position alone can be pieces of a curve over it: a stop has damping, too."""
     cases, both = stiffening()[0], STRUCTURE.with_("gravity", effect)
     sane = {p.name: float(np.mean(SANE[p.name])) for p in both.parameters if p.name in SANE}
-    last = likelihood.evaluate(cases, both, preparation.completed(both, VALUES | sane), 1.0)
-    found = curve_substitution.one_curve(cases, STRUCTURE, last)
+    last = likelihood.evaluate(cases, both, preparation.complete_values(both, VALUES | sane), 1.0)
+    found = curve_substitution.substitute_cancelling(cases, STRUCTURE, last)
     assert found is None or set(found.ids) <= {"gravity", "spring", "torque_ripple", "constant_offset"}
 
 
 def test_a_spring_that_stiffens_is_not_a_spring_and_gravity():
     cases, last = stiffening()
-    pieces = curve_substitution.one_curve(cases, STRUCTURE, last)
+    pieces = curve_substitution.substitute_cancelling(cases, STRUCTURE, last)
     assert pieces is not None and set(pieces.ids) == {"gravity", "spring"}
-    assert curve_substitution._left_over(cases, last, pieces.ids) < curve_substitution.CANCELLED
+    assert curve_substitution._remaining_stiffness(cases, last, pieces.ids) < thresholds.MAX_CANCELLED_STIFFNESS
     assert pieces.curve.structure == STRUCTURE.with_("unknown_position")
     got, size = pieces.curve.values, np.sqrt(np.diag(pieces.curve.covariance) * pieces.curve.scale)
     planted = interp1d(SPOTS, -STIFFENING * SPOTS**3, fill_value="extrapolate")
@@ -85,8 +85,8 @@ def test_a_spring_that_stiffens_is_not_a_spring_and_gravity():
 def test_what_is_left_is_what_algebra_leaves():
     """x - sin x over -1.5 to 1.5, against x."""
     at = np.linspace(-1.5, 1.5, 2001)
-    both = Point(BOTH, VALUES | AGAINST, 1.0, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
-    torques = curve_substitution._torques(("gravity", "spring"), both, at)
+    both = Fit(BOTH, VALUES | AGAINST, 1.0, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    torques = curve_substitution._effect_torques(("gravity", "spring"), both, at)
     assert torques.sum(axis=0) == pytest.approx(-4.8 * (at - np.sin(at)))
 
 
@@ -95,13 +95,15 @@ def test_what_is_left_is_what_algebra_leaves():
 def test_what_is_left_of_their_stiffness_is_what_it_is_where_they_cancel_most(monkeypatch, travel, strength):
     """However far the axis goes on from there: gravity's is largest against the spring where it stands on its head, and
     that place a hanging pendulum passes on a long travel only."""
-    monkeypatch.setattr(curve_substitution, "_along", lambda cases, last, variable: np.linspace(-travel, travel, 2001))
+    monkeypatch.setattr(
+        curve_substitution, "_passed_values", lambda cases, last, variable: np.linspace(-travel, travel, 2001)
+    )
     hanging = 1.0 if travel > np.pi else -np.cos(travel)
     for begin, most in ((AGAINST, 1.0), (WITH, hanging)):
         values = VALUES | begin | {"gravity_gain": 4.8 * strength}
-        both = Point(BOTH, values, 1.0, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+        both = Fit(BOTH, values, 1.0, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
         left = abs(1.0 - strength * most) / min(strength, 1.0)
-        assert curve_substitution._left_over([], both, ("gravity", "spring")) == pytest.approx(left, abs=0.01)
+        assert curve_substitution._remaining_stiffness([], both, ("gravity", "spring")) == pytest.approx(left, abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -114,7 +116,7 @@ def test_what_is_left_of_their_stiffness_is_what_it_is_where_they_cancel_most(mo
 )
 def test_names_stay_where_they_do_not_cancel_or_do_more(values, largest, drawn):
     cases, last = named(recorded(BOTH, largest, **values))
-    assert (curve_substitution.one_curve(cases, STRUCTURE, last) is not None) is drawn
+    assert (curve_substitution.substitute_cancelling(cases, STRUCTURE, last) is not None) is drawn
 
 
 #: A resistance that has a hump on one side of a straight line over speed, at twelve knots.
@@ -138,10 +140,12 @@ HUMP = {
 )
 def test_a_name_stays_unless_its_law_is_not_what_is_there(effect, truth, values, variable):
     one = STRUCTURE.with_(effect)
-    cases = [likelihood.prepare(recorded(STRUCTURE.with_(truth), 25.0, **values), one)]
+    cases = [likelihood.prepare_recording(recorded(STRUCTURE.with_(truth), 25.0, **values), one)]
     begin = VALUES | {p.name: float(np.mean(SANE[p.name])) for p in one.parameters if p.name in SANE}
-    last = likelihood.fit(cases, one, preparation.completed(one, begin | VALUES), preparation.free_parameters(one))
-    found = curve_substitution.redrawn(cases, STRUCTURE, last)
+    last = likelihood.fit_with_process_noise(
+        cases, one, preparation.complete_values(one, begin | VALUES), preparation.free_parameters(one)
+    )
+    found = curve_substitution.best_substitution(cases, STRUCTURE, last)
     if variable is None:
         assert found is None
     else:
@@ -157,18 +161,20 @@ def test_a_name_stays_unless_its_law_is_not_what_is_there(effect, truth, values,
 def test_a_curve_does_what_the_names_do_where_its_sketch_is_led_astray(monkeypatch, effect, values):
     """What the missing torque shows may be rattle; a spring and a drag are lines that twelve knots draw as they are."""
     one = STRUCTURE.with_(effect)
-    cases = [likelihood.prepare(recorded(one, 25.0, **values), one)]
-    last = likelihood.fit(cases, one, preparation.completed(one, VALUES | values), preparation.free_parameters(one))
-    honest = curve_substitution.nonparametric.sketch
+    cases = [likelihood.prepare_recording(recorded(one, 25.0, **values), one)]
+    last = likelihood.fit_with_process_noise(
+        cases, one, preparation.complete_values(one, VALUES | values), preparation.free_parameters(one)
+    )
+    honest = curve_substitution.nonparametric.sketch_curve
 
     def misled(cases, base, term):
         found = honest(cases, base, term)
         wild = {n: 30.0 * (-1.0) ** i for i, n in enumerate(names(f"unknown_{term.kind}"))}
         return replace(found, values=found.values | wild, free=base.free)
 
-    monkeypatch.setattr(curve_substitution.nonparametric, "sketch", misled)
+    monkeypatch.setattr(curve_substitution.nonparametric, "sketch_curve", misled)
     variable = "position" if effect == "spring" else "velocity"
-    curve = curve_substitution._drawn(cases, last, [effect], variable)
+    curve = curve_substitution._fit_curve_instead(cases, last, [effect], variable)
     assert curve.deviance < last.deviance + 20.0
 
 
@@ -176,11 +182,11 @@ def test_a_curve_does_what_the_names_do_where_its_sketch_is_led_astray(monkeypat
 def test_a_curve_takes_no_name_s_place_unless_it_foretells(monkeypatch, chance, drawn):
     """Twelve knots follow what else the model lacks, too."""
     one = STRUCTURE.with_("spring")
-    cases = [likelihood.prepare(recorded(STRUCTURE.with_("unknown_position"), 25.0, **CURVE), one)]
-    begin = preparation.completed(one, VALUES | {"spring_stiffness": 4.8})
-    last = likelihood.fit(cases, one, begin, preparation.free_parameters(one))
-    monkeypatch.setattr(curve_substitution.cross_validation, "chance", lambda cases, smaller, larger: chance)
-    assert (curve_substitution.outdone(cases, STRUCTURE, last, "position") is not None) is drawn
+    cases = [likelihood.prepare_recording(recorded(STRUCTURE.with_("unknown_position"), 25.0, **CURVE), one)]
+    begin = preparation.complete_values(one, VALUES | {"spring_stiffness": 4.8})
+    last = likelihood.fit_with_process_noise(cases, one, begin, preparation.free_parameters(one))
+    monkeypatch.setattr(curve_substitution.cross_validation, "gain_p_value", lambda cases, smaller, larger: chance)
+    assert (curve_substitution.substitute_curve(cases, STRUCTURE, last, "position") is not None) is drawn
 
 
 @pytest.mark.parametrize(("rough", "drawn"), [(0.0, False), (0.02, False), (0.06, True)])
@@ -191,32 +197,32 @@ def test_a_law_may_miss_a_little_of_what_a_machine_does(monkeypatch, rough, draw
     """
     torque = -4.8 * (SPOTS + rough * np.sqrt(2.0) * SPOTS.std() * np.sin(4.0 * SPOTS))
     truth, one = STRUCTURE.with_("unknown_position"), STRUCTURE.with_("spring")
-    cases = [likelihood.prepare(recorded(truth, 25.0, **through("unknown_position", SPOTS, torque)), one)]
-    begin = preparation.completed(one, VALUES | {"spring_stiffness": 4.8})
-    last = likelihood.fit(cases, one, begin, preparation.free_parameters(one))
-    monkeypatch.setattr(curve_substitution.selection_round, "shows", lambda cases, before, after: True)
-    assert (curve_substitution.outdone(cases, STRUCTURE, last, "position") is not None) is drawn
+    cases = [likelihood.prepare_recording(recorded(truth, 25.0, **through("unknown_position", SPOTS, torque)), one)]
+    begin = preparation.complete_values(one, VALUES | {"spring_stiffness": 4.8})
+    last = likelihood.fit_with_process_noise(cases, one, begin, preparation.free_parameters(one))
+    monkeypatch.setattr(curve_substitution.selection_round, "is_confirmed", lambda cases, before, after: True)
+    assert (curve_substitution.substitute_curve(cases, STRUCTURE, last, "position") is not None) is drawn
 
 
 def test_a_name_that_does_nothing_beside_the_curve_goes():
     """A fade made up for what the spring missed; beside the curve a friction that is there stays."""
     truth, both = STRUCTURE.with_("unknown_position", "coulomb_friction"), STRUCTURE.with_("spring", "coulomb_friction")
     more = both.with_("thermal_fade")
-    cases = [likelihood.prepare(recorded(truth, 25.0, coulomb_friction=0.3, **CURVE), more)]
-    begin = preparation.completed(more, VALUES | {"spring_stiffness": 3.0, "coulomb_friction": 0.3})
-    last = likelihood.fit(cases, more, begin, preparation.free_parameters(more))
-    found = curve_substitution.redrawn(cases, STRUCTURE, last)
+    cases = [likelihood.prepare_recording(recorded(truth, 25.0, coulomb_friction=0.3, **CURVE), more)]
+    begin = preparation.complete_values(more, VALUES | {"spring_stiffness": 3.0, "coulomb_friction": 0.3})
+    last = likelihood.fit_with_process_noise(cases, more, begin, preparation.free_parameters(more))
+    found = curve_substitution.best_substitution(cases, STRUCTURE, last)
     assert found is not None and found.curve.structure == truth
 
 
 def test_one_torque_or_what_the_first_model_knows_is_no_piece():
     cases, last = stiffening()
-    assert curve_substitution.one_curve(cases, STRUCTURE.with_("gravity"), last) is None
+    assert curve_substitution.substitute_cancelling(cases, STRUCTURE.with_("gravity"), last) is None
 
 
 def test_the_answer_is_a_curve_and_says_why(monkeypatch):
     # Here the search for shapes would find it, too; on a rig with a gap the first model is too far astray for that.
-    monkeypatch.setattr(diagnose, "_outdone", lambda found, nameless, left: False)
+    monkeypatch.setattr(diagnose, "_curve_replaces_names", lambda found, nameless, left: False)
     made = recorded(STRUCTURE.with_("unknown_position"), **CURVE)
     found = diagnose.diagnose([made], STRUCTURE, {}, ("gravity", "spring"))
     assert found.verdict == "unexplained" and not found.findings
@@ -238,10 +244,10 @@ def test_the_answer_is_a_curve_and_says_why(monkeypatch):
 )  # fmt: skip
 def test_friction_that_gives_takes_the_place_of_dry_friction(truth, values, first, bent):
     dry = STRUCTURE.with_("coulomb_friction")
-    cases = [likelihood.prepare(recorded(STRUCTURE.with_(truth), 25.0, **values), dry)]
-    begin = preparation.completed(dry, VALUES | {"coulomb_friction": 0.5})
-    last = likelihood.fit(cases, dry, begin, preparation.free_parameters(dry))
-    found = curve_substitution.redrawn(cases, first, last)
+    cases = [likelihood.prepare_recording(recorded(STRUCTURE.with_(truth), 25.0, **values), dry)]
+    begin = preparation.complete_values(dry, VALUES | {"coulomb_friction": 0.5})
+    last = likelihood.fit_with_process_noise(cases, dry, begin, preparation.free_parameters(dry))
+    found = curve_substitution.best_substitution(cases, first, last)
     assert (found is not None) is bent
     if found is not None:
         assert found.ids == ("coulomb_friction",) and found.curve.structure == STRUCTURE.with_("unknown_bend")
@@ -257,12 +263,12 @@ def test_friction_that_gives_takes_the_place_of_dry_friction(truth, values, firs
 )
 def test_one_friction_that_gives_is_likelier_than_two_kinds_that_do_as_well(monkeypatch, truth, values, bent):
     """Even if it shows no better than they do."""
-    monkeypatch.setattr(curve_substitution.selection_round, "shows", lambda cases, before, after: False)
+    monkeypatch.setattr(curve_substitution.selection_round, "is_confirmed", lambda cases, before, after: False)
     dry = STRUCTURE.with_("coulomb_friction", "load_dependent_friction")
-    cases = [likelihood.prepare(recorded(STRUCTURE.with_(*truth), 25.0, **values), dry)]
-    begin = preparation.completed(dry, VALUES | {"coulomb_friction": 0.5, "load_friction": 0.1})
-    last = likelihood.fit(cases, dry, begin, preparation.free_parameters(dry))
-    found = curve_substitution.giving(cases, STRUCTURE, last)
+    cases = [likelihood.prepare_recording(recorded(STRUCTURE.with_(*truth), 25.0, **values), dry)]
+    begin = preparation.complete_values(dry, VALUES | {"coulomb_friction": 0.5, "load_friction": 0.1})
+    last = likelihood.fit_with_process_noise(cases, dry, begin, preparation.free_parameters(dry))
+    found = curve_substitution.substitute_presliding(cases, STRUCTURE, last)
     assert (found is not None) is bent
     if found is not None:
         assert set(found.ids) == {"coulomb_friction", "load_dependent_friction"}
@@ -285,11 +291,11 @@ def test_a_ripple_with_an_overtone_is_a_ripple_and_one_of_many_is_none(overtone:
 
 def test_overtones_are_what_a_wave_has_beside_its_first_and_between_the_directions() -> None:
     """Turned by any phase they are as large; and no ripple of another order is the curve's."""
-    blank = preparation.completed(STRUCTURE.with_("unknown_push", "torque_ripple"), VALUES)
+    blank = preparation.complete_values(STRUCTURE.with_("unknown_push", "torque_ripple"), VALUES)
     nothing = np.zeros(0)
 
-    def point(structure: Structure, values: dict[str, float]) -> Point:
-        return Point(structure, values, 1.0, (), 0.0, 1.0, np.eye(0), nothing, np.eye(0))
+    def point(structure: Structure, values: dict[str, float]) -> Fit:
+        return Fit(structure, values, 1.0, (), 0.0, 1.0, np.eye(0), nothing, np.eye(0))
 
     named = point(STRUCTURE.with_("torque_ripple"), blank | {"ripple_order": 12.0})
     for phase in (0.0, 0.7, 2.0):
@@ -300,10 +306,10 @@ def test_overtones_are_what_a_wave_has_beside_its_first_and_between_the_directio
             own |= {f"unknown_push_{way}_cos_1": 2.0 * np.sin(phase) + sign * 0.2 * np.cos(phase)}
             own |= {f"unknown_push_{way}_sin_3": 0.5}
         curve = point(STRUCTURE.with_("unknown_push"), blank | own)
-        assert curve_substitution.overtones(curve) == pytest.approx(np.hypot(0.2, 0.5) / 2.0)
+        assert curve_substitution.overtone_share(curve) == pytest.approx(np.hypot(0.2, 0.5) / 2.0)
         assert curve_substitution.is_ripple(named, curve)
         assert not curve_substitution.is_ripple(replace(named, values=named.values | {"ripple_order": 24.0}), curve)
         assert not curve_substitution.is_ripple(replace(named, structure=STRUCTURE.with_("gravity")), curve)
         opposite = {n: -v for n, v in own.items() if "reverse" in n}
-        assert curve_substitution.overtones(replace(curve, values=curve.values | opposite)) > 1.0
-    assert curve_substitution.overtones(named) == np.inf
+        assert curve_substitution.overtone_share(replace(curve, values=curve.values | opposite)) > 1.0
+    assert curve_substitution.overtone_share(named) == np.inf

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.diagnosis import experiment_design
-from twin.diagnosis.experiment_design import Limits, library, separate, sharpen
+from twin.diagnosis.experiment_design import Limits, design_for_discrimination, design_for_precision, library
 from twin.effects import knots
 from twin.errors import BadInput
 from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import BASE, Structure
 from twin.simulation import kernel
@@ -50,7 +50,7 @@ def played(
     step = float(time[1] - time[0])
     shaking = np.random.default_rng(seed).standard_normal(len(time)) * noise / np.sqrt(step) / VALUES["input_gain"]
     drive = replace(
-        likelihood.prepare(blank, structure).drive, command=command + np.where(command != 0.0, shaking, 0.0)
+        likelihood.prepare_recording(blank, structure).drive, command=command + np.where(command != 0.0, shaking, 0.0)
     )
     output = kernel.predict(drive, kernel.vector(structure, values), kernel.start_state(0.0, 0.0, 0.0)).reading
     return replace(blank, output=np.round(output / COUNT) * COUNT)
@@ -68,13 +68,13 @@ STARTS = ((0.02, 0.25), (0.025, 0.2), (0.014, 0.35))
 DENSITY = NOISE**2 / (COUNT**2 / 12.0)
 
 
-def fitted(recordings: list[Recording], *effects: str) -> tuple[Point, list[Case]]:
+def fitted(recordings: list[Recording], *effects: str) -> tuple[Fit, list[PreparedRecording]]:
     """Maximum likelihood at the noise density that was planted, the best of a few starts: gap crossings are kinks."""
     structure = structure_of(*effects)
-    cases = [likelihood.prepare(r, structure) for r in recordings]
+    cases = [likelihood.prepare_recording(r, structure) for r in recordings]
     free = preparation.free_parameters(structure)
     starts = [{**values_of(*effects), "backlash_gap": gap, "motor_share": m} for gap, m in STARTS]
-    points = [likelihood.climb(cases, structure, v, DENSITY, free) for v in starts]
+    points = [likelihood.levenberg_marquardt(cases, structure, v, DENSITY, free) for v in starts]
     return min(points, key=lambda p: p.deviance), cases
 
 
@@ -85,7 +85,7 @@ def gains(pair: tuple[str, str], truth: int, seed: int) -> tuple[float, float]:
     """Log-likelihood that the truth gains with the designed input, and per as many seconds of the first one again."""
     first = played((pair[truth],), *steps(), seed=seed)
     rivals = [fitted([first], effect)[0] for effect in pair]
-    designed = separate(rivals, [likelihood.prepare(first, rivals[0].structure)])
+    designed = design_for_discrimination(rivals, [likelihood.prepare_recording(first, rivals[0].structure)])
     assert len(designed.time)
 
     def gained(second: Recording) -> float:
@@ -102,7 +102,7 @@ def gains(pair: tuple[str, str], truth: int, seed: int) -> tuple[float, float]:
 def test_the_designed_input_tells_rivals_apart_whichever_is_true(pair):
     """It is made for the truth under which the two are harder to tell apart; over four noises, since each has luck."""
     once, again = np.mean([np.min([gains(pair, t, seed) for t in (0, 1)], axis=0) for seed in range(4)], axis=0)
-    assert once > experiment_design.NEEDED
+    assert once > experiment_design.NEEDED_LOG_LIKELIHOOD
     assert once > 1.5 * again
 
 
@@ -112,45 +112,45 @@ def test_what_a_rival_has_but_does_not_use_does_not_make_it_another_truth():
     other, _ = fitted([played((), *steps())], "coulomb_friction")
     idle = replace(other, values={**other.values, "coulomb_friction": 0.0})
     busy = replace(other, values={**other.values, "coulomb_friction": 0.8})
-    assert [p.truth for p in experiment_design._pairs([point, idle])] == [point]
-    assert [p.truth for p in experiment_design._pairs([point, busy])] == [point, busy]
+    assert [p.truth for p in experiment_design._rival_pairs([point, idle])] == [point]
+    assert [p.truth for p in experiment_design._rival_pairs([point, busy])] == [point, busy]
 
 
 def test_rivals_that_add_only_what_does_nothing_leave_the_question_what_is_known_worst():
     point, cases = fitted([played((), *steps())])
     other, _ = fitted([played((), *steps())], "coulomb_friction")
     idle = replace(other, values={**point.values, **other.values, "coulomb_friction": 0.0})
-    assert experiment_design._pairs([point, idle]) == []
-    assert separate([point, idle], cases).why == sharpen(point, cases).why != ""
+    assert experiment_design._rival_pairs([point, idle]) == []
+    assert design_for_discrimination([point, idle], cases).why == design_for_precision(point, cases).why != ""
 
 
 def test_a_smaller_model_within_a_larger_one_is_asked_one_way_only():
     first = played(("coulomb_friction",), *steps())
     small, cases = fitted([first])
     large, _ = fitted([first], "coulomb_friction")
-    (pair,) = experiment_design._pairs([small, large])
+    (pair,) = experiment_design._rival_pairs([small, large])
     assert pair.truth is large and pair.rival is small
-    designed = separate([small, large], cases)
+    designed = design_for_discrimination([small, large], cases)
     assert "whether there is dry (Coulomb) friction" in designed.why
     assert len(designed.time)
 
 
 def test_equal_models_are_not_told_apart():
     point, cases = fitted([played((), *steps())])
-    designed = separate([point, point], cases)
+    designed = design_for_discrimination([point, point], cases)
     assert len(designed.time) == 0 and designed.why.startswith("No input")
 
 
 @pytest.fixture(scope="module")
-def lag_or_delay() -> tuple[list[Point], list[Case]]:
+def lag_or_delay() -> tuple[list[Fit], list[PreparedRecording]]:
     first = played(("motor_lag",), *steps())
     rivals = [fitted([first], effect)[0] for effect in ("motor_lag", "input_delay")]
-    return rivals, [likelihood.prepare(first, rivals[0].structure)]
+    return rivals, [likelihood.prepare_recording(first, rivals[0].structure)]
 
 
 def test_the_input_keeps_to_what_was_recorded(lag_or_delay):
     rivals, cases = lag_or_delay
-    designed = separate(rivals, cases)
+    designed = design_for_discrimination(rivals, cases)
     assert np.abs(designed.input).max() <= 30.0
     assert designed.input[-1] == 0.0
     assert np.allclose(np.diff(designed.time), 0.002) and designed.time[0] == 0.0
@@ -159,7 +159,7 @@ def test_the_input_keeps_to_what_was_recorded(lag_or_delay):
 def test_given_limits_are_kept(lag_or_delay):
     rivals, cases = lag_or_delay
     limits = Limits(input=20.0, duration=3.0, travel=0.5, sample_time=0.005)
-    designed = separate(rivals, cases, limits)
+    designed = design_for_discrimination(rivals, cases, limits)
     assert len(designed.time) and designed.time[-1] <= 3.0
     assert np.abs(designed.input).max() <= 20.0
     assert np.allclose(np.diff(designed.time), 0.005)
@@ -174,7 +174,7 @@ def test_given_limits_are_kept(lag_or_delay):
 def test_a_verdict_out_of_reach_is_said_to_be(lag_or_delay):
     rivals, cases = lag_or_delay
     noisy = [replace(r, scale=r.scale * 3e3) for r in rivals]
-    designed = separate(noisy, cases, Limits(duration=1.0))
+    designed = design_for_discrimination(noisy, cases, Limits(duration=1.0))
     assert "No input" in designed.why or "only" in designed.why
 
 
@@ -183,17 +183,19 @@ def test_the_input_scales_with_its_unit(lag_or_delay):
     rivals, cases = lag_or_delay
     factor = 0.1
 
-    def in_volts(point: Point) -> Point:
+    def in_volts(point: Fit) -> Fit:
         scale = {n: factor if n.startswith("dead_band") else 1.0 / factor if n == "input_gain" else 1.0
                  for n in point.values}  # fmt: skip
         size = np.array([scale[n] for n in point.free])
         values = {n: v * scale[n] for n, v in point.values.items()}
         both = np.outer(size, size)
-        return replace(point, values=values, normal=point.normal / both, scatter=point.scatter / both)
+        return replace(point, values=values, information=point.information / both, scatter=point.scatter / both)
 
     recording = replace(cases[0].recording, input=cases[0].recording.input * factor, input_unit="V")
-    volts = separate([in_volts(r) for r in rivals], [likelihood.prepare(recording, rivals[0].structure)])
-    duty = separate(rivals, cases)
+    volts = design_for_discrimination(
+        [in_volts(r) for r in rivals], [likelihood.prepare_recording(recording, rivals[0].structure)]
+    )
+    duty = design_for_discrimination(rivals, cases)
     assert volts.why == duty.why
     assert np.allclose(volts.input, duty.input * factor, atol=1e-3)
 
@@ -202,18 +204,18 @@ def test_a_missing_reversal_is_asked_for_and_does_what_was_promised():
     """Driven one way only, a rig does not show its gap; the designed input fixes it as well as it said."""
     first = played((), *steps(6.0, (20.0, 30.0, 0.0, 25.0)))
     structure = structure_of()
-    case = likelihood.prepare(first, structure)
+    case = likelihood.prepare_recording(first, structure)
     free = preparation.free_parameters(structure)
     point = likelihood.evaluate([case], structure, VALUES, DENSITY, free)
-    designed = sharpen(point, [case], Limits(input=40.0, travel=np.inf))
+    designed = design_for_precision(point, [case], Limits(input=40.0, travel=np.inf))
     assert len(designed.time) and designed.input.min() < -10.0
-    second = likelihood.prepare(played((), designed.time, designed.input, seed=2), structure)
+    second = likelihood.prepare_recording(played((), designed.time, designed.input, seed=2), structure)
     after = likelihood.evaluate([case, second], structure, VALUES, DENSITY, free)
     sizes = np.array([VALUES[n] for n in free])
     relative = np.sqrt(np.diag(after.covariance)) / sizes
     before = np.sqrt(np.diag(point.covariance)) / sizes
     assert before.max() > 1.0
-    assert relative.max() < 3.0 * experiment_design._KNOWN
+    assert relative.max() < 3.0 * experiment_design._KNOWN_ERROR
 
 
 def test_a_knot_that_is_known_worst_says_where_it_lies():
@@ -222,25 +224,27 @@ def test_a_knot_that_is_known_worst_says_where_it_lies():
     structure, name = structure_of("unknown_velocity"), "unknown_velocity_10"
     values = {**VALUES, **knots.through("unknown_velocity", at, 0.01 * np.abs(at) * at)}
     # At this duty the axis comes to some 4 rad/s: not near the tenth knot.
-    case = likelihood.prepare(played((), *steps()), structure)
+    case = likelihood.prepare_recording(played((), *steps()), structure)
     point = likelihood.evaluate(
         [case], structure, values, DENSITY, (*preparation.free_parameters(structure_of()), name)
     )
-    assert "unknown_velocity_10 (value at knot 10 of 12, at 12 rad/s)" in sharpen(point, [case], Limits()).why
+    assert (
+        "unknown_velocity_10 (value at knot 10 of 12, at 12 rad/s)" in design_for_precision(point, [case], Limits()).why
+    )
 
 
-def rested(point: Point, case: Case, signal: experiment_design.Signal) -> np.ndarray:
-    bench = experiment_design._bench([point], [case], Limits(input=40.0, travel=np.inf))
+def rested(point: Fit, case: PreparedRecording, signal: experiment_design.Signal) -> np.ndarray:
+    bench = experiment_design._rig_limits([point], [case], Limits(input=40.0, travel=np.inf))
     (pair,) = (experiment_design._Pair(point, point, point.values),)
-    trial = experiment_design._try(bench, signal, [pair])
+    trial = experiment_design._simulate_signal(bench, signal, [pair])
     assert trial is not None
-    return trial.seen[0].louder
+    return trial.seen[0].error_inflation
 
 
 def test_readings_count_for_less_where_the_motor_rattles_in_its_gap():
     """Noise and an unknown start grow from bounce to bounce; driven one way, the gears stay in mesh."""
     structure = structure_of().with_("tooth_compliance")
-    case = likelihood.prepare(played((), *steps()), structure)
+    case = likelihood.prepare_recording(played((), *steps()), structure)
     values = {**VALUES, "tooth_frequency": 100.0, "tooth_damping": 0.15}
     point = likelihood.evaluate([case], structure, values, DENSITY, preparation.free_parameters(structure))
     steady = rested(point, case, ((4.0, 30.0, 30.0),))
@@ -252,15 +256,15 @@ def test_readings_count_for_less_where_the_motor_rattles_in_its_gap():
 def test_stiff_teeth_do_not_ring_up_in_the_design():
     """Twice the internal step of a fit had made teeth of 300 Hz unstable, and every block promised 1e50."""
     structure = structure_of().with_("tooth_compliance")
-    case = likelihood.prepare(played((), *steps()), structure)
+    case = likelihood.prepare_recording(played((), *steps()), structure)
     values = {**VALUES, "tooth_frequency": 299.0, "tooth_damping": 0.46}
     point = likelihood.evaluate([case], structure, values, DENSITY, preparation.free_parameters(structure))
-    designed = sharpen(point, [case])
+    designed = design_for_precision(point, [case])
     assert len(designed.time) and len(designed.about) == 1
-    bench = experiment_design._bench([point], [case], Limits())
+    bench = experiment_design._rig_limits([point], [case], Limits())
     pair = experiment_design._Pair(point, point, point.values)
-    found = [np.diag(t.whole[0].information) for t in experiment_design._candidates(bench, [pair])]
-    assert np.max(found) < 1e6 * np.max(np.diag(point.normal))
+    found = [np.diag(t.whole[0].information) for t in experiment_design._feasible_blocks(bench, [pair])]
+    assert np.max(found) < 1e6 * np.max(np.diag(point.information))
 
 
 def test_rigs_that_log_speed_get_an_experiment_too():
@@ -268,23 +272,23 @@ def test_rigs_that_log_speed_get_an_experiment_too():
     time, command = steps()
     truth = played(("coulomb_friction",), time, command)
     speed = replace(truth, output=np.gradient(truth.output, time), output_unit="rad/s", resolution=0.0)
-    case = likelihood.prepare(speed, structure)
+    case = likelihood.prepare_recording(speed, structure)
     free = preparation.free_parameters(structure)
-    density = likelihood.density_of(case, 0.1)
-    point = likelihood.evaluate([case], structure, values_of("coulomb_friction"), density, free)
-    designed = separate([point], [case])
+    process_noise = likelihood.process_noise_of(case, 0.1)
+    point = likelihood.evaluate([case], structure, values_of("coulomb_friction"), process_noise, free)
+    designed = design_for_discrimination([point], [case])
     assert len(designed.time) and "standard error" in designed.why
 
 
 def test_what_leaves_no_room_is_refused(lag_or_delay):
     rivals, cases = lag_or_delay
     with pytest.raises(BadInput, match="duration"):
-        separate(rivals, cases, Limits(duration=-1.0))
+        design_for_discrimination(rivals, cases, Limits(duration=-1.0))
     idle = replace(cases[0].recording, input=np.zeros(len(cases[0].recording.time)))
     with pytest.raises(BadInput, match="zero throughout"):
-        separate(rivals, [likelihood.prepare(idle, rivals[0].structure)])
+        design_for_discrimination(rivals, [likelihood.prepare_recording(idle, rivals[0].structure)])
     with pytest.raises(BadInput, match="at least one"):
-        separate([], cases)
+        design_for_discrimination([], cases)
 
 
 # ---- laws ----
@@ -317,7 +321,7 @@ def test_blocks_keep_to_the_range_and_end_at_rest(lost, most, pace, turn):
 def test_a_cut_signal_is_the_beginning_of_the_whole(end):
     signal = experiment_design._on_grid(library(5.0, 60.0, 0.5, 1.0)["slow triangle"], 0.004)
     end = round(end / 0.004) * 0.004
-    cut = experiment_design._cut(signal, end)
+    cut = experiment_design._cut_signal(signal, end)
     _, whole = experiment_design._sampled(signal, 0.004, -100.0, 100.0)
     _, part = experiment_design._sampled(cut, 0.004, -100.0, 100.0)
     assert experiment_design._length(cut) == pytest.approx(min(end, experiment_design._length(signal)))
@@ -327,11 +331,11 @@ def test_a_cut_signal_is_the_beginning_of_the_whole(end):
 def test_errors_are_the_inverse_and_stay_numbers_where_nothing_tells_two_parameters_apart():
     rng = np.random.default_rng(2)
     seen = rng.standard_normal((40, 4))
-    known = np.sqrt(np.diag(np.linalg.inv(seen.T @ seen + np.eye(4) / experiment_design._UNKNOWN**2)))
+    known = np.sqrt(np.diag(np.linalg.inv(seen.T @ seen + np.eye(4) / experiment_design._UNKNOWN_ERROR**2)))
     assert experiment_design._relative_errors(seen.T @ seen) == pytest.approx(known)
     for _ in range(50):
         seen = 1e8 * rng.standard_normal((40, 4))
         seen[:, 3] = seen[:, 2]
         found = experiment_design._relative_errors(seen.T @ seen)
-        assert found[2:] == pytest.approx(experiment_design._UNKNOWN / np.sqrt(2.0), rel=1e-6)
+        assert found[2:] == pytest.approx(experiment_design._UNKNOWN_ERROR / np.sqrt(2.0), rel=1e-6)
         assert np.all(found[:2] < 1e-6)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin.diagnosis import forward_selection, model_comparison, screening, selection_round
-from twin.diagnosis.plausibility import plausible
+from twin.diagnosis import forward_selection, model_comparison, screening, selection_round, thresholds
+from twin.diagnosis.plausibility import is_plausible
 from twin.effects.catalogue import BASE, CANDIDATES
 from twin.estimation import contact_masking, likelihood, local_optima, maximum_likelihood, preparation
-from twin.estimation.likelihood import Point
+from twin.estimation.likelihood import Fit
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 from twin.simulation import kernel
@@ -24,9 +24,11 @@ def test_candidates_that_a_linear_axis_has_not_are_not_tried() -> None:
     duty = 40.0 * np.sign(np.sin(3.0 * time))
     blank = Recording("sled", time, duty, np.zeros(3000), "%", "m", 1e-5)
     p = kernel.vector(structure, {"input_gain": 0.02, "viscous_friction": 2.0})
-    read = kernel.predict(likelihood.prepare(blank, structure).drive, p, kernel.start_state(0.0, 0.0, 0.0)).reading
+    read = kernel.predict(
+        likelihood.prepare_recording(blank, structure).drive, p, kernel.start_state(0.0, 0.0, 0.0)
+    ).reading
     sled = Recording("sled", time, duty, 1e-5 * np.round(read / 1e-5), "%", "m", 1e-5)
-    found = forward_selection.find([sled], structure, {}, ("gravity", "encoder_eccentricity"))
+    found = forward_selection.search([sled], structure, {}, ("gravity", "encoder_eccentricity"))
     assert found.rounds == () and found.last.structure == structure
     assert abs(found.last.values["input_gain"] - 0.02) < 1e-4
 
@@ -34,12 +36,12 @@ def test_candidates_that_a_linear_axis_has_not_are_not_tried() -> None:
 def test_an_elastic_joint_and_teeth_are_one_spring() -> None:
     """Where one takes the other's place it is as stiff, within its bounds."""
     joint = {"joint_frequency": 30.0, "joint_damping": 0.2}
-    base = preparation.with_teeth(Structure.of(BASE))
+    base = preparation.with_tooth_compliance(Structure.of(BASE))
     for frequency, teeth in ((38.0, 40.0), (12.0, 40.0), (39.9, 40.0)):
-        found = preparation.completed(base, joint | {"joint_frequency": frequency})
+        found = preparation.complete_values(base, joint | {"joint_frequency": frequency})
         assert (found["tooth_frequency"], found["tooth_damping"]) == (teeth, 0.2)
     known = {"tooth_frequency": 90.0, "tooth_damping": 0.1}
-    assert preparation.completed(base, joint | known)["tooth_frequency"] == 90.0
+    assert preparation.complete_values(base, joint | known)["tooth_frequency"] == 90.0
     _, hardest_joint = likelihood.bounds_of("joint_frequency")
     softest_teeth, _ = likelihood.bounds_of("tooth_frequency")
     assert hardest_joint == softest_teeth
@@ -47,25 +49,25 @@ def test_an_elastic_joint_and_teeth_are_one_spring() -> None:
 
 def test_what_only_a_long_memory_prefers_does_not_show(monkeypatch) -> None:
     """A gain that a filter of a shorter memory takes back is that of bounces, not of physics."""
-    case = likelihood.prepare(
+    case = likelihood.prepare_recording(
         Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
     )
     memory = 0.1
-    density = likelihood.density_of(case, memory)
-    point = likelihood.Point(Structure.of(BASE), {}, density, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
-    larger = replace(point, values={"gain": 1.0}, deviance=-10.0 * model_comparison.LEAST)
+    process_noise = likelihood.process_noise_of(case, memory)
+    point = likelihood.Fit(Structure.of(BASE), {}, process_noise, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    larger = replace(point, values={"gain": 1.0}, deviance=-10.0 * thresholds.MIN_GAIN)
 
     # A motor that rattles, and meetings of it that are all foreseen.
-    monkeypatch.setattr(model_comparison, "worth", lambda points: selection_round.WHITE)
-    monkeypatch.setattr(contact_masking, "foreseeable", lambda cases, point: cases)
+    monkeypatch.setattr(model_comparison, "overdispersion", lambda points: thresholds.WHITE_OVERDISPERSION)
+    monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: cases)
 
     def judged(better_until: float):
-        def climb(cases, structure, values, density, free, rounds, tolerance):
-            shorter = memory / likelihood.memory_of(case, density)
+        def climb(cases, structure, values, process_noise, free, rounds, tolerance):
+            shorter = memory / likelihood.memory_of(case, process_noise)
             return replace(point, deviance=0.0 if not values else -1.0 if shorter < better_until else 1.0)
 
-        monkeypatch.setattr(likelihood, "climb", climb)
-        return selection_round.shows([case], point, larger)
+        monkeypatch.setattr(likelihood, "levenberg_marquardt", climb)
+        return selection_round.is_confirmed([case], point, larger)
 
     assert judged(8.0)
     assert not judged(3.0) and not judged(1.5)
@@ -73,27 +75,29 @@ def test_what_only_a_long_memory_prefers_does_not_show(monkeypatch) -> None:
 
 def test_a_slow_torque_has_to_do_no_more_than_a_shorter_memory_leaves_of_it(monkeypatch) -> None:
     """Where a filter finds innovations white, a sixteenth of what one of twice its memory gave is all that is left."""
-    case = likelihood.prepare(
+    case = likelihood.prepare_recording(
         Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
     )
-    density = likelihood.density_of(case, 0.1)
-    point = likelihood.Point(Structure.of(BASE), {}, density, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
-    gain = 10.0 * model_comparison.LEAST
+    process_noise = likelihood.process_noise_of(case, 0.1)
+    point = likelihood.Fit(Structure.of(BASE), {}, process_noise, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    gain = 10.0 * thresholds.MIN_GAIN
     larger = replace(point, values={"gain": 1.0}, deviance=-gain)
     monkeypatch.setattr(
-        model_comparison, "worth", lambda points: selection_round.WHITE if points[0].density == density else 1.0
+        model_comparison,
+        "overdispersion",
+        lambda points: thresholds.WHITE_OVERDISPERSION if points[0].process_noise == process_noise else 1.0,
     )
-    monkeypatch.setattr(contact_masking, "foreseeable", lambda cases, point: cases)
+    monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: cases)
     for left, shown in ((gain / 15.0, True), (gain / 17.0, False)):
 
-        def climb(cases, structure, values, density, free, rounds, tolerance, left=left):
-            shortest = likelihood.memory_of(case, density) < 0.03
+        def climb(cases, structure, values, process_noise, free, rounds, tolerance, left=left):
+            shortest = likelihood.memory_of(case, process_noise) < 0.03
             better = 1.0 if shortest else -left
-            return replace(point, density=density, deviance=better if values else 0.0)
+            return replace(point, process_noise=process_noise, deviance=better if values else 0.0)
 
-        monkeypatch.setattr(likelihood, "climb", climb)
-        assert left < model_comparison.LEAST
-        assert selection_round.shows([case], point, larger) is shown
+        monkeypatch.setattr(likelihood, "levenberg_marquardt", climb)
+        assert left < thresholds.MIN_GAIN
+        assert selection_round.is_confirmed([case], point, larger) is shown
 
 
 @pytest.mark.parametrize(
@@ -112,71 +116,75 @@ def test_a_filter_that_can_know_too_little_vetoes_nothing_that_was_sure(monkeypa
     """A sixteenth of 40 is less than a parameter's price, and as likely as not to look like nothing; one of 64 is not,
     and 20 was not sure at twice the memory.
     """
-    case = likelihood.prepare(
+    case = likelihood.prepare_recording(
         Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
     )
-    density = likelihood.density_of(case, 0.1)
-    point = likelihood.Point(Structure.of(BASE), {}, density, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    process_noise = likelihood.process_noise_of(case, 0.1)
+    point = likelihood.Fit(Structure.of(BASE), {}, process_noise, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
     larger = replace(point, values={"gain": 1.0}, free=("gain",), deviance=-16.0 * before)
 
     def short(at: float) -> bool:
         return likelihood.memory_of(case, at) < 0.03
 
-    def climb(cases, structure, values, density, free, rounds, tolerance):
-        gained = left if short(density) else before
-        return replace(larger if values else point, density=density, deviance=-gained if values else 0.0)
+    def climb(cases, structure, values, process_noise, free, rounds, tolerance):
+        gained = left if short(process_noise) else before
+        return replace(larger if values else point, process_noise=process_noise, deviance=-gained if values else 0.0)
 
     monkeypatch.setattr(
-        model_comparison, "worth", lambda points: 1.0 if short(points[0].density) else selection_round.WHITE
+        model_comparison,
+        "overdispersion",
+        lambda points: 1.0 if short(points[0].process_noise) else thresholds.WHITE_OVERDISPERSION,
     )
-    monkeypatch.setattr(contact_masking, "foreseeable", lambda cases, point: cases)
-    monkeypatch.setattr(likelihood, "climb", climb)
-    assert selection_round.shows([case], point, larger) is shown
+    monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: cases)
+    monkeypatch.setattr(likelihood, "levenberg_marquardt", climb)
+    assert selection_round.is_confirmed([case], point, larger) is shown
 
 
 @pytest.mark.parametrize(("left", "shown"), [(-1.0, False), (2.0, False), (5.0, True)])
 def test_a_curve_pays_for_its_knots_once(monkeypatch, left, shown) -> None:
     """A shorter memory, to which a slow torque is a sixteenth, is asked whether it is there, not for twelve prices."""
-    case = likelihood.prepare(
+    case = likelihood.prepare_recording(
         Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
     )
-    density = likelihood.density_of(case, 0.1)
-    point = likelihood.Point(Structure.of(BASE), {}, density, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    process_noise = likelihood.process_noise_of(case, 0.1)
+    point = likelihood.Fit(Structure.of(BASE), {}, process_noise, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
     knots = tuple(f"knot_{i}" for i in range(12))
-    larger = replace(point, values={"gain": 1.0}, free=knots, deviance=-10.0 * model_comparison.LEAST)
+    larger = replace(point, values={"gain": 1.0}, free=knots, deviance=-10.0 * thresholds.MIN_GAIN)
     monkeypatch.setattr(
-        model_comparison, "worth", lambda points: selection_round.WHITE if points[0].density == density else 1.0
+        model_comparison,
+        "overdispersion",
+        lambda points: thresholds.WHITE_OVERDISPERSION if points[0].process_noise == process_noise else 1.0,
     )
-    monkeypatch.setattr(model_comparison, "earns", lambda *args: True)
-    monkeypatch.setattr(contact_masking, "foreseeable", lambda cases, point: cases)
-    monkeypatch.setattr(selection_round, "KEPT", 1.0 / 64.0)
+    monkeypatch.setattr(model_comparison, "is_significant", lambda *args: True)
+    monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: cases)
+    monkeypatch.setattr(selection_round, "GAIN_KEPT_AT_HALF_MEMORY", 1.0 / 64.0)
 
-    def climb(cases, structure, values, density, free, rounds, tolerance):
-        return replace(larger if values else point, density=density, deviance=-left if values else 0.0)
+    def climb(cases, structure, values, process_noise, free, rounds, tolerance):
+        return replace(larger if values else point, process_noise=process_noise, deviance=-left if values else 0.0)
 
-    monkeypatch.setattr(likelihood, "climb", climb)
-    assert selection_round.shows([case], point, larger) is shown
+    monkeypatch.setattr(likelihood, "levenberg_marquardt", climb)
+    assert selection_round.is_confirmed([case], point, larger) is shown
 
 
 def test_what_a_rough_likelihood_gives_anywhere_is_no_gain(monkeypatch) -> None:
     """A gain counts for what it is above the changes that next to nothing makes."""
     structure = Structure.of(["inertia", "viscous_friction", "backlash"])
     blank = Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4)
-    case = likelihood.prepare(blank, structure)
-    density = likelihood.density_of(case, selection_round.BRIEFEST)
-    before = likelihood.Point(
-        structure, {"backlash_gap": 0.02}, density, ("backlash_gap",), 0.0, 1.0, np.eye(1), np.zeros(1), np.eye(1)
+    case = likelihood.prepare_recording(blank, structure)
+    process_noise = likelihood.process_noise_of(case, thresholds.SHORTEST_MEMORY)
+    before = likelihood.Fit(
+        structure, {"backlash_gap": 0.02}, process_noise, ("backlash_gap",), 0.0, 1.0, np.eye(1), np.zeros(1), np.eye(1)
     )
-    after = replace(before, values={"backlash_gap": 0.03}, deviance=-3.0 * model_comparison.LEAST)
-    monkeypatch.setattr(contact_masking, "foreseeable", lambda cases, point: cases)
+    after = replace(before, values={"backlash_gap": 0.03}, deviance=-3.0 * thresholds.MIN_GAIN)
+    monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: cases)
     for jump, shown in ((0.0, True), (1.0, True), (4.0, False)):
 
-        def trembling(cases, structure, trials, density, jump=jump):
+        def trembling(cases, structure, trials, process_noise, jump=jump):
             own = after if trials[0]["backlash_gap"] > 0.025 else before
-            return [own.deviance + jump * model_comparison.LEAST * (-1.0) ** i for i in range(len(trials))]
+            return [own.deviance + jump * thresholds.MIN_GAIN * (-1.0) ** i for i in range(len(trials))]
 
         monkeypatch.setattr(likelihood, "deviances", trembling)
-        assert selection_round.shows([case], before, after) is shown
+        assert selection_round.is_confirmed([case], before, after) is shown
 
 
 def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
@@ -202,11 +210,11 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
         ("thermal_fade", "fade", 0.2, -0.2),
     ):
         structure = Structure.of([*BASE, effect])
-        cases = [likelihood.prepare(turning, structure)]
-        values = preparation.completed(structure, {"disturbance": 0.01, "fade": 0.1})
+        cases = [likelihood.prepare_recording(turning, structure)]
+        values = preparation.complete_values(structure, {"disturbance": 0.01, "fade": 0.1})
         for value, right in ((kept, True), (bent, False)):
             point = likelihood.evaluate(cases, structure, {**values, name: value}, 1.0)
-            assert plausible(cases, point) is right, (effect, value)
+            assert is_plausible(cases, point) is right, (effect, value)
 
 
 @pytest.mark.parametrize(("speed", "right"), [(0.1, True), (0.02, False)])  # 6.4 counts, and a quarter of one
@@ -214,26 +222,28 @@ def test_friction_that_falls_within_a_count_is_what_bristles_do(speed: float, ri
     time = 0.002 * np.arange(5000)
     turning = Recording("turning", time, np.full(5000, 30.0), 3.0 * np.sin(time), "%", "rad", 3.1e-4)
     structure = Structure.of([*BASE, "stribeck_friction"])
-    cases = [likelihood.prepare(turning, structure)]
+    cases = [likelihood.prepare_recording(turning, structure)]
     friction = {"coulomb_friction": 0.2, "stribeck_friction": 2.3, "stribeck_velocity": speed}
-    values = preparation.completed(structure, friction)
-    assert plausible(cases, likelihood.evaluate(cases, structure, values, 1.0)) is right
+    values = preparation.complete_values(structure, friction)
+    assert is_plausible(cases, likelihood.evaluate(cases, structure, values, 1.0)) is right
 
 
 def test_what_a_first_model_has_and_the_rig_has_not_speaks_against_nothing_that_is_added() -> None:
     time = 0.002 * np.arange(5000)
     turning = Recording("turning", time, np.full(5000, 30.0), 3.0 * np.sin(time), "%", "rad", 1e-4)
     first = Structure.of([*BASE, "input_delay"])
-    cases = [likelihood.prepare(turning, first)]
+    cases = [likelihood.prepare_recording(turning, first)]
 
-    def at(structure: Structure, **values: float) -> Point:
-        return likelihood.evaluate(cases, structure, preparation.completed(structure, {"delay": 2e-4, **values}), 1.0)
+    def at(structure: Structure, **values: float) -> Fit:
+        return likelihood.evaluate(
+            cases, structure, preparation.complete_values(structure, {"delay": 2e-4, **values}), 1.0
+        )
 
     for rest, right in ((1.0, True), (50.0, False)):
         longer = at(first.with_("spring"), spring_rest=rest)
-        assert plausible(cases, longer, at(first)) is right and not plausible(cases, longer)
+        assert is_plausible(cases, longer, at(first)) is right and not is_plausible(cases, longer)
         # A delay that the addition has eaten up was one before.
-        assert not plausible(cases, longer, at(first, delay=0.01))
+        assert not is_plausible(cases, longer, at(first, delay=0.01))
 
 
 def test_a_spring_that_is_bent_into_a_constant_is_no_rival_to_one() -> None:
@@ -248,9 +258,9 @@ def test_a_spring_that_is_bent_into_a_constant_is_no_rival_to_one() -> None:
         there = plain.with_("constant_offset" if "offset" in planted else "spring")
         y, _ = run(there, values | planted, time, shaken)
         recording = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
-        cases = [likelihood.prepare(recording, plain)]
-        before = local_optima.settle(cases, plain, values, {}, likelihood.density_of(cases[0], 0.1))
-        found = selection_round.compete(cases, before, [], ("constant_offset", "spring"), {})
+        cases = [likelihood.prepare_recording(recording, plain)]
+        before = local_optima.refit(cases, plain, values, {}, likelihood.process_noise_of(cases[0], 0.1))
+        found = selection_round.run_round(cases, before, [], ("constant_offset", "spring"), {})
         assert found.won and found.rivals[0].added == there.named[-1:]
         assert (("spring",) in [h.added for h in found.rivals]) is ("offset" not in planted)
 
@@ -259,16 +269,16 @@ def test_where_a_recording_begins_is_no_stop() -> None:
     time = 0.002 * np.arange(2500)
     rising = Recording("rising", time, np.full(2500, 30.0), 3.0 * (1.0 - np.cos(time)), "%", "rad", 1e-4)
     structure = Structure.of([*BASE, "end_stop"])
-    cases = [likelihood.prepare(rising, structure)]
-    values = preparation.completed(structure, {})
+    cases = [likelihood.prepare_recording(rising, structure)]
+    values = preparation.complete_values(structure, {})
     for name, value, right in (
         ("stop_upper", 5.99, True), ("stop_lower", 0.001, False), ("stop_lower", -1.0, True), ("stop_upper", 7.0, True),
     ):  # fmt: skip
         point = likelihood.evaluate(cases, structure, {**values, name: value}, 1.0)
-        assert plausible(cases, point) is right, (name, value)
+        assert is_plausible(cases, point) is right, (name, value)
     # What is met at the other end is none the less for it.
     point = likelihood.evaluate(cases, structure, {**values, "stop_lower": 0.001, "stop_upper": 5.99}, 1.0)
-    assert plausible(cases, point)
+    assert is_plausible(cases, point)
 
 
 @pytest.mark.parametrize("lower", [-1e3, -0.3])
@@ -284,10 +294,10 @@ def test_a_stop_that_nothing_met_is_nowhere(lower: float) -> None:
     duty = steps(rng, len(time), 400, 25.0)
     y, _ = run(stopped, values, time, duty + 0.05 * rng.standard_normal(len(time)))
     made = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
-    cases = [likelihood.prepare(made, stopped)]
+    cases = [likelihood.prepare_recording(made, stopped)]
     begun = {**values, "stop_lower": max(lower, float(y.min()) + count)}
-    last = local_optima.settle(cases, stopped, begun, {}, likelihood.density_of(cases[0], 0.1))
-    found = forward_selection._unmet(cases, last)
+    last = local_optima.refit(cases, stopped, begun, {}, likelihood.process_noise_of(cases[0], 0.1))
+    found = forward_selection._without_unmet_stops(cases, last)
     assert y.max() > 0.3 and (lower == -1e3 or y.min() < lower)
     assert found.values["stop_upper"] == pytest.approx(0.3, abs=2e-3)
     assert found.values["stop_lower"] == pytest.approx(lower, abs=2e-3)
@@ -298,11 +308,11 @@ def test_friction_that_acts_only_where_the_way_ends_is_a_stop() -> None:
     time = 0.002 * np.arange(2500)
     rising = Recording("rising", time, np.full(2500, 30.0), 1.5 * (1.0 - np.cos(time)), "%", "rad", 1e-4)
     structure = Structure.of([*BASE, "position_dependent_friction"])
-    cases = [likelihood.prepare(rising, structure)]
-    values = {**preparation.completed(structure, {}), "coulomb_friction": 0.0, "friction_variation": 2.0}
+    cases = [likelihood.prepare_recording(rising, structure)]
+    values = {**preparation.complete_values(structure, {}), "coulomb_friction": 0.0, "friction_variation": 2.0}
     for angle, coulomb, right in ((0.0, 0.0, True), (-3.1, 0.0, False), (-3.1, 1.9, True)):
         tried = {**values, "friction_angle": angle, "coulomb_friction": coulomb}
-        assert plausible(cases, likelihood.evaluate(cases, structure, tried, 1.0)) is right, (angle, coulomb)
+        assert is_plausible(cases, likelihood.evaluate(cases, structure, tried, 1.0)) is right, (angle, coulomb)
 
 
 def test_a_weak_torque_shows_although_a_filter_that_forgets_fast_does_not_see_it() -> None:
@@ -316,67 +326,67 @@ def test_a_weak_torque_shows_although_a_filter_that_forgets_fast_does_not_see_it
     shaken = duty + 0.01 * rng.standard_normal(len(time))
     y, _ = run(plain.with_("spring"), values | weak, time, shaken)
     recording = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
-    cases = [likelihood.prepare(recording, plain)]
-    density = likelihood.density_of(cases[0], 0.1)
-    before = local_optima.settle(cases, plain, values, {}, density)
-    after = local_optima.settle(cases, plain.with_("spring"), {**before.values, **weak}, {}, density)
-    assert model_comparison.worth([before, after]) < selection_round.WHITE
-    smaller, larger = selection_round._adapted(cases, before, after, likelihood.density_of(cases[0], 0.025))
-    assert not model_comparison.ahead(larger, smaller) > 0.0
-    assert selection_round.shows(cases, before, after)
+    cases = [likelihood.prepare_recording(recording, plain)]
+    process_noise = likelihood.process_noise_of(cases[0], 0.1)
+    before = local_optima.refit(cases, plain, values, {}, process_noise)
+    after = local_optima.refit(cases, plain.with_("spring"), {**before.values, **weak}, {}, process_noise)
+    assert model_comparison.overdispersion([before, after]) < thresholds.WHITE_OVERDISPERSION
+    smaller, larger = selection_round._refit_both(cases, before, after, likelihood.process_noise_of(cases[0], 0.025))
+    assert not model_comparison.criterion_difference(larger, smaller) > 0.0
+    assert selection_round.is_confirmed(cases, before, after)
 
 
 def test_a_model_learns_nothing_from_one_that_is_no_longer_what_its_names_say() -> None:
     """A load that changed before the recording is another gain, and leaves no number its own size."""
     recording = Recording("made", 0.002 * np.arange(5000), np.zeros(5000), np.zeros(5000), "%", "rad", 1e-3)
     structure, nothing = Structure.of(BASE).with_("load_change"), np.eye(0)
-    cases = [likelihood.prepare(recording, structure)]
+    cases = [likelihood.prepare_recording(recording, structure)]
 
-    def at(moment: float, deviance: float) -> likelihood.Point:
-        values = preparation.completed(structure, {"load_time": moment, "load_added": 0.5})
-        return likelihood.Point(structure, values, 1.0, (), deviance, 1.0, nothing, np.zeros(0), nothing)
+    def at(moment: float, deviance: float) -> likelihood.Fit:
+        values = preparation.complete_values(structure, {"load_time": moment, "load_added": 0.5})
+        return likelihood.Fit(structure, values, 1.0, (), deviance, 1.0, nothing, np.zeros(0), nothing)
 
     here, bent, learned = at(5.0, 0.0), at(-3.0, -900.0), at(6.0, -20.0)
-    assert selection_round._better(cases, here, [bent, learned]) is learned
-    assert selection_round._better(cases, here, [bent]) is here
-    assert selection_round._better(cases, bent, [at(-4.0, -950.0)]) is not bent  # it was none before, either
+    assert selection_round._better_plausible(cases, here, [bent, learned]) is learned
+    assert selection_round._better_plausible(cases, here, [bent]) is here
+    assert selection_round._better_plausible(cases, bent, [at(-4.0, -950.0)]) is not bent  # it was none before, either
     less = replace(bent, structure=Structure.of(BASE), values={}, deviance=1e6)
-    assert forward_selection._fair(cases, here, [bent, less], less) is here
+    assert forward_selection._best_smaller(cases, here, [bent, less], less) is here
 
 
 def test_what_the_first_model_has_stays_where_what_contains_it_goes() -> None:
     first = Structure.of([*BASE, "coulomb_friction"])
-    smaller = forward_selection._smaller(first.with_("stribeck_friction"), first)
+    smaller = forward_selection._smaller_structures(first.with_("stribeck_friction"), first)
     assert [s.ids for s in smaller] == [first.ids]
-    alone = forward_selection._smaller(first.with_("stribeck_friction"), Structure.of(BASE))
+    alone = forward_selection._smaller_structures(first.with_("stribeck_friction"), Structure.of(BASE))
     assert {s.named for s in alone} == {("coulomb_friction",), ()}
 
 
 def test_what_a_law_misses_of_its_own_effect_is_no_other_effect() -> None:
     """Beside an effect that does much, another has to do more than one that is there alone."""
     nothing = np.eye(0)
-    begun = likelihood.Point(Structure.of(BASE), {}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing)
-    for much, needed in ((-100.0 * model_comparison.LEAST, 1.5), (-800.0 * model_comparison.LEAST, 3.5)):
+    begun = likelihood.Fit(Structure.of(BASE), {}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing)
+    for much, needed in ((-100.0 * thresholds.MIN_GAIN, 1.5), (-800.0 * thresholds.MIN_GAIN, 3.5)):
         less = replace(begun, deviance=much)
         enough, scant = (
-            replace(begun, deviance=much - times * model_comparison.LEAST) for times in (needed, needed - 0.5)
+            replace(begun, deviance=much - times * thresholds.MIN_GAIN) for times in (needed, needed - 0.5)
         )
-        assert forward_selection._fair([], enough, [less, begun], begun) is enough
-        assert forward_selection._fair([], scant, [less, begun], begun) is less
+        assert forward_selection._best_smaller([], enough, [less, begun], begun) is enough
+        assert forward_selection._best_smaller([], scant, [less, begun], begun) is less
 
 
 def test_a_larger_model_is_never_behind_the_smaller_one_that_it_contains(monkeypatch) -> None:
     """Where what is added does harm to the other filter, it is looked for from nothing, too."""
     base, nothing = Structure.of(BASE), np.eye(0)
-    before = likelihood.Point(base, {"input_gain": 0.3}, 1.0, (), 0.0, 1.0, nothing, [], nothing)
+    before = likelihood.Fit(base, {"input_gain": 0.3}, 1.0, (), 0.0, 1.0, nothing, [], nothing)
     after = replace(before, structure=base.with_("gravity"), values={"input_gain": 0.4, "gravity_gain": 2.0})
 
-    def climbed(cases, structure, values, density, free, rounds, tolerance):
+    def climbed(cases, structure, values, process_noise, free, rounds, tolerance):
         deviance = 100.0 * abs(values["input_gain"] - 0.3) + values.get("gravity_gain", 0.0)
         return replace(before, structure=structure, values=values, deviance=deviance)
 
-    monkeypatch.setattr(likelihood, "climb", climbed)
-    smaller, larger = selection_round._adapted((), before, after, 1.0)
+    monkeypatch.setattr(likelihood, "levenberg_marquardt", climbed)
+    smaller, larger = selection_round._refit_both((), before, after, 1.0)
     assert larger.structure == after.structure
     assert larger.deviance == smaller.deviance == 0.0
 
@@ -384,15 +394,15 @@ def test_a_larger_model_is_never_behind_the_smaller_one_that_it_contains(monkeyp
 def test_a_rival_stands_where_another_does_with_its_own_effect(monkeypatch) -> None:
     """What both share is taken over; what each has alone is its own, and nothing of the other's comes along."""
     base, nothing = Structure.of(BASE), np.eye(0)
-    plain = likelihood.Point(base, {"input_gain": 0.3, "backlash_gap": 0.02}, 1.0, (), 0.0, 1.0, nothing, [], nothing)
+    plain = likelihood.Fit(base, {"input_gain": 0.3, "backlash_gap": 0.02}, 1.0, (), 0.0, 1.0, nothing, [], nothing)
     one = replace(plain, structure=base.with_("motor_lag"), values={**plain.values, "lag_time": 0.01})
     other = replace(plain, structure=base.with_("input_delay"), values={"input_gain": 0.4, "delay": 0.02})
 
-    def settled(cases, structure, values, held, density):
+    def settled(cases, structure, values, held, process_noise):
         return replace(one, structure=structure, values=values)
 
-    monkeypatch.setattr(local_optima, "settle", settled)
-    moved = selection_round._in_place_of(
+    monkeypatch.setattr(local_optima, "refit", settled)
+    moved = selection_round._fit_from_other(
         (),
         selection_round.Hypothesis(("motor_lag",), one),
         selection_round.Hypothesis(("input_delay",), other),
@@ -414,21 +424,25 @@ def test_dry_friction_may_be_one_sided_where_nothing_ever_coasts(coasting: bool)
     pushed = np.where(time // 0.7 % 2.0 < 1.0, 1.0, -1.0) * np.where(time // 2.8 % 2.0 < 1.0, 20.0, 35.0)
     duty = np.where(time % 0.7 < 0.35, pushed, 0.0) if coasting else pushed
     y, _ = run(plain, values, time, duty + 0.05 * rng.standard_normal(len(time)) * (duty != 0.0))
-    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
-    last = local_optima.settle(cases, plain, values, {}, likelihood.density_of(cases[0], 0.05))
+    cases = [
+        likelihood.prepare_recording(
+            Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain
+        )
+    ]
+    last = local_optima.refit(cases, plain, values, {}, likelihood.process_noise_of(cases[0], 0.05))
     first = plain.without("coulomb_friction")
-    wider = forward_selection._wider(cases, last, first, CANDIDATES, {})
+    wider = forward_selection._containing_alternatives(cases, last, first, CANDIDATES, {})
     rivals = {w.rival: w for w in wider}
     assert ("friction_asymmetry" in rivals) is not coasting
     if not coasting:
         found = rivals["friction_asymmetry"]
         assert abs(found.point.values["friction_asymmetry"]) == last.values["coulomb_friction"]
-        assert model_comparison.ahead(last, found.point) < 1.0
+        assert model_comparison.criterion_difference(last, found.point) < 1.0
         # What is as good with a parameter more is not named for that.
-        assert forward_selection._widened(cases, last, [], wider, {}) == (last, wider)
+        assert forward_selection._prefer_containing(cases, last, [], wider, {}) == (last, wider)
         # Neither what was not asked for nor what the first model knows comes into question.
-        assert forward_selection._wider(cases, last, first, ("spring",), {}) == []
-        assert forward_selection._wider(cases, last, plain, CANDIDATES, {}) == []
+        assert forward_selection._containing_alternatives(cases, last, first, ("spring",), {}) == []
+        assert forward_selection._containing_alternatives(cases, last, plain, CANDIDATES, {}) == []
 
 
 @pytest.mark.parametrize("asymmetry", [0.0, 0.1])
@@ -442,41 +456,51 @@ def test_what_did_more_than_the_effect_that_it_contains_is_tried_at_its_own_size
     time, count = 0.002 * np.arange(6000), 2.0 * np.pi / 16384.0
     duty = np.where(time % 0.7 < 0.35, np.where(time // 0.7 % 2.0 < 1.0, 30.0, -30.0), 0.0)
     y, _ = run(longer, values, time, duty + 0.05 * rng.standard_normal(len(time)) * (duty != 0.0))
-    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), longer)]
-    density = likelihood.density_of(cases[0], 0.05)
+    cases = [
+        likelihood.prepare_recording(
+            Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), longer
+        )
+    ]
+    process_noise = likelihood.process_noise_of(cases[0], 0.05)
     first, without, more = (
-        local_optima.settle(cases, s, values, {}, density) for s in (plain.without("coulomb_friction"), plain, longer)
+        local_optima.refit(cases, s, values, {}, process_noise)
+        for s in (plain.without("coulomb_friction"), plain, longer)
     )
     rivals = [
         selection_round.Hypothesis(("friction_asymmetry",), more),
         selection_round.Hypothesis(("coulomb_friction",), without),
     ]
     rounds = [selection_round.Round(first, tuple(rivals), 1.0)]
-    assert bool(forward_selection._overtook(rounds, "coulomb_friction", "friction_asymmetry")) == bool(asymmetry)
-    assert forward_selection._overtook(rounds, "coulomb_friction", "stribeck_friction") == []
-    wider = forward_selection._wider(cases, without, first.structure, ["friction_asymmetry"], {}, rounds)
-    best, kept = forward_selection._widened(cases, without, [], wider, {})
+    assert bool(forward_selection._overtaking_fits(rounds, "coulomb_friction", "friction_asymmetry")) == bool(asymmetry)
+    assert forward_selection._overtaking_fits(rounds, "coulomb_friction", "stribeck_friction") == []
+    wider = forward_selection._containing_alternatives(
+        cases, without, first.structure, ["friction_asymmetry"], {}, rounds
+    )
+    best, kept = forward_selection._prefer_containing(cases, without, [], wider, {})
     if asymmetry:
         assert best.values["friction_asymmetry"] == pytest.approx(asymmetry, rel=0.05)
         assert [(w.effect, w.rival) for w in kept] == [("friction_asymmetry", "coulomb_friction")]
-        assert forward_selection._wider(cases, without, first.structure, ["friction_asymmetry"], {}) == []
+        assert (
+            forward_selection._containing_alternatives(cases, without, first.structure, ["friction_asymmetry"], {})
+            == []
+        )
     else:
         assert best is without
 
 
 def test_what_could_stand_for_an_effect_goes_with_it_where_a_larger_one_takes_its_place(monkeypatch) -> None:
     base, nothing = Structure.of(BASE), np.eye(0)
-    last = likelihood.Point(
+    last = likelihood.Fit(
         base.with_("coulomb_friction", "gravity"), {}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing
     )
     larger = replace(last, structure=last.structure.with_("friction_asymmetry"), deviance=-20.0)
-    monkeypatch.setattr(local_optima, "settle", lambda cases, structure, values, held, density: larger)
+    monkeypatch.setattr(local_optima, "refit", lambda cases, structure, values, held, process_noise: larger)
     swaps = [
-        forward_selection.Swap("coulomb_friction", "load_dependent_friction", last),
-        forward_selection.Swap("gravity", "spring", last),
+        forward_selection.Alternative("coulomb_friction", "load_dependent_friction", last),
+        forward_selection.Alternative("gravity", "spring", last),
     ]
-    wider = [forward_selection.Swap("coulomb_friction", "friction_asymmetry", larger)]
-    best, kept = forward_selection._widened((), last, swaps, wider, {})
+    wider = [forward_selection.Alternative("coulomb_friction", "friction_asymmetry", larger)]
+    best, kept = forward_selection._prefer_containing((), last, swaps, wider, {})
     assert best is larger
     assert [(w.effect, w.rival) for w in kept] == [("gravity", "spring"), ("friction_asymmetry", "coulomb_friction")]
     assert {w.effect for w in kept} <= set(best.structure.named)
@@ -485,7 +509,7 @@ def test_what_could_stand_for_an_effect_goes_with_it_where_a_larger_one_takes_it
 def test_what_did_not_last_is_followed_by_another_look(monkeypatch) -> None:
     """The first round's winner may have kept out what is there: once it is pruned, the others are asked again."""
     nothing = np.eye(0)
-    base = likelihood.Point(Structure.of(BASE), {}, 1.0, (), 3000.0, 1.0, nothing, np.zeros(0), nothing)
+    base = likelihood.Fit(Structure.of(BASE), {}, 1.0, (), 3000.0, 1.0, nothing, np.zeros(0), nothing)
     wave, push = (replace(base, structure=base.structure.with_(e)) for e in ("gravity", "constant_offset"))
     grown, asked = iter([wave, push]), []
 
@@ -493,18 +517,18 @@ def test_what_did_not_last_is_followed_by_another_look(monkeypatch) -> None:
         asked.append(best)
         return next(grown), []
 
-    monkeypatch.setattr(forward_selection.multistart, "start", lambda recordings, first, held: ([], [base]))
-    monkeypatch.setattr(forward_selection.multistart, "refine", lambda cases, structure, begun, held: base)
-    monkeypatch.setattr(forward_selection.multistart, "polish", lambda cases, point: ([], point))
-    monkeypatch.setattr(local_optima, "judged", lambda cases, point: 1.0)
-    monkeypatch.setattr(local_optima, "settle", lambda cases, structure, values, held, density: base)
-    monkeypatch.setattr(forward_selection.screening, "offered", lambda cases, candidates: candidates)
-    monkeypatch.setattr(forward_selection, "_grown", grow)
+    monkeypatch.setattr(forward_selection.multistart, "coarse_starts", lambda recordings, first, held: ([], [base]))
+    monkeypatch.setattr(forward_selection.multistart, "fit_from_starts", lambda cases, structure, begun, held: base)
+    monkeypatch.setattr(forward_selection.multistart, "leave_local_optima", lambda cases, point: ([], point))
+    monkeypatch.setattr(local_optima, "judging_process_noise", lambda cases, point: 1.0)
+    monkeypatch.setattr(local_optima, "refit", lambda cases, structure, values, held, process_noise: base)
+    monkeypatch.setattr(forward_selection.screening, "testable_candidates", lambda cases, candidates: candidates)
+    monkeypatch.setattr(forward_selection, "_add_effects", grow)
     monkeypatch.setattr(
-        forward_selection, "_pruned", lambda cases, best, begun, held: (base if best is wave else best, [base])
+        forward_selection, "_prune", lambda cases, best, begun, held: (base if best is wave else best, [base])
     )
-    monkeypatch.setattr(forward_selection, "closer", lambda found, held, candidates: found)
-    found = forward_selection.find([], base.structure, {})
+    monkeypatch.setattr(forward_selection, "refine_with_short_memory", lambda found, held, candidates: found)
+    found = forward_selection.search([], base.structure, {})
     assert asked == [base, base]
     assert found.last is push
 
@@ -517,22 +541,26 @@ def test_a_delay_is_judged_where_a_few_steps_from_its_start_lead() -> None:
     time, count = 0.002 * np.arange(4000), 2.0 * np.pi / 16384.0
     duty = steps(rng, len(time), 150, 40.0)
     y, _ = run(plain.with_("input_delay"), values | {"delay": 0.001}, time, duty)
-    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
-    base = local_optima.settle(cases, plain, values, {}, likelihood.density_of(cases[0], 0.1))
+    cases = [
+        likelihood.prepare_recording(
+            Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain
+        )
+    ]
+    base = local_optima.refit(cases, plain, values, {}, likelihood.process_noise_of(cases[0], 0.1))
     trials = [{"delay": t} for t in (0.006, 0.015)]
     longer = plain.with_("input_delay")
-    begun = min(likelihood.evaluate(cases, longer, {**base.values, **t}, base.density).deviance for t in trials)
+    begun = min(likelihood.evaluate(cases, longer, {**base.values, **t}, base.process_noise).deviance for t in trials)
     free = (*base.free, "delay")
     promise, found = screening._direct_start(cases, cases, base, "input_delay", trials, free)
     assert begun > base.deviance
     assert found["delay"] == pytest.approx(0.001, abs=2e-4)
-    assert promise > 0.9 * (base.deviance - local_optima.settle(cases, longer, found, {}, base.density).deviance)
+    assert promise > 0.9 * (base.deviance - local_optima.refit(cases, longer, found, {}, base.process_noise).deviance)
 
 
-def fitted(deviance: float, *effects: str, unit: float = 1.0) -> likelihood.Point:
+def fitted(deviance: float, *effects: str, unit: float = 1.0) -> likelihood.Fit:
     """A point that nothing was fitted for; a unit of its deviance is worth so little."""
     structure, normal, scatter = Structure.of([*BASE, *effects]), np.eye(1), np.eye(1) * unit
-    return likelihood.Point(
+    return likelihood.Fit(
         structure, {"input_gain": 0.3}, 1.0, ("input_gain",), deviance, 1.0, normal, np.zeros(1), scatter
     )
 
@@ -556,23 +584,25 @@ def test_the_search_begins_anew_with_what_had_earned_as_much_by_itself(monkeypat
 
     def climbed(cases, best, rounds, structure, candidates, held, tell):
         begun.append([r.rivals[0].added[0] for r in rounds])
-        return forward_selection.Search(
+        return forward_selection.SearchResult(
             first, ends[begun[-1][0] if rounds else "joint_elasticity"], tuple(rounds) or (this,), ()
         )
 
-    monkeypatch.setattr(forward_selection.multistart, "start", lambda recordings, first, held: ([], [first]))
-    monkeypatch.setattr(forward_selection.multistart, "refine", lambda cases, structure, begun, held: first)
-    monkeypatch.setattr(forward_selection.multistart, "polish", lambda cases, point: ([], point))
-    monkeypatch.setattr(forward_selection.contact_masking, "judged_throughout", lambda cases: cases)
-    monkeypatch.setattr(local_optima, "judged", lambda cases, point: 1.0)
-    monkeypatch.setattr(local_optima, "settle", lambda cases, structure, values, held, density: first)
-    monkeypatch.setattr(forward_selection.screening, "offered", lambda cases, candidates: candidates)
-    monkeypatch.setattr(selection_round, "shows", lambda cases, before, after: True)
-    monkeypatch.setattr(forward_selection, "_climbed", climbed)
-    monkeypatch.setattr(forward_selection, "_levelled", lambda cases, best, candidates: [])
-    monkeypatch.setattr(forward_selection, "_wider", lambda cases, best, first, candidates, held, rounds: [])
-    monkeypatch.setattr(forward_selection, "closer", lambda found, held, candidates: found)
-    found = forward_selection.find([], first.structure, {})
+    monkeypatch.setattr(forward_selection.multistart, "coarse_starts", lambda recordings, first, held: ([], [first]))
+    monkeypatch.setattr(forward_selection.multistart, "fit_from_starts", lambda cases, structure, begun, held: first)
+    monkeypatch.setattr(forward_selection.multistart, "leave_local_optima", lambda cases, point: ([], point))
+    monkeypatch.setattr(forward_selection.contact_masking, "without_contact_mask", lambda cases: cases)
+    monkeypatch.setattr(local_optima, "judging_process_noise", lambda cases, point: 1.0)
+    monkeypatch.setattr(local_optima, "refit", lambda cases, structure, values, held, process_noise: first)
+    monkeypatch.setattr(forward_selection.screening, "testable_candidates", lambda cases, candidates: candidates)
+    monkeypatch.setattr(selection_round, "is_confirmed", lambda cases, before, after: True)
+    monkeypatch.setattr(forward_selection, "_search_from", climbed)
+    monkeypatch.setattr(forward_selection, "_offset_for_dead_bands", lambda cases, best, candidates: [])
+    monkeypatch.setattr(
+        forward_selection, "_containing_alternatives", lambda cases, best, first, candidates, held, rounds: []
+    )
+    monkeypatch.setattr(forward_selection, "refine_with_short_memory", lambda found, held, candidates: found)
+    found = forward_selection.search([], first.structure, {})
     assert begun == [[], ["input_delay"]]
     assert found.last is ends["input_delay" if deviance < -6000.0 else "joint_elasticity"]
 
@@ -582,17 +612,19 @@ def test_what_the_search_begins_anew_with_shows_by_itself_and_had_not_been_refus
     joint, delay = hypothesis(-6000.0, "joint_elasticity", unit=100.0), hypothesis(-3000.0, "input_delay", unit=unit)
     slow = hypothesis(-2500.0, "gravity", unit=unit)
     this = selection_round.Round(first, (joint, delay, slow), 100.0)
-    found = forward_selection.Search(first, joint.point, (this,), ())
+    found = forward_selection.SearchResult(first, joint.point, (this,), ())
     shown = {"input_delay", "gravity"}
-    monkeypatch.setattr(selection_round, "shows", lambda cases, before, after: bool({*after.structure.named} & shown))
+    monkeypatch.setattr(
+        selection_round, "is_confirmed", lambda cases, before, after: bool({*after.structure.named} & shown)
+    )
 
-    def begun(this: selection_round.Round, density: float = 1.0) -> list[str]:
-        rounds = forward_selection._seconds((), replace(found, rounds=(this,)), density)
+    def begun(this: selection_round.Round, process_noise: float = 1.0) -> list[str]:
+        rounds = forward_selection._narrow_rounds((), replace(found, rounds=(this,)), process_noise)
         return [r.rivals[0].added[0] for r in rounds]
 
     assert begun(this) == ["input_delay", "gravity"]
     assert begun(replace(this, refused=frozenset({"input_delay"}))) == ["gravity"]
-    assert begun(this, density=2.0) == []
+    assert begun(this, process_noise=2.0) == []
     assert begun(replace(this, won=False)) == []
     # A winner on credit has beaten nobody.
     assert begun(replace(this, rivals=(hypothesis(-1000.0, "joint_elasticity", unit=100.0), delay, slow))) == []
@@ -602,62 +634,68 @@ def test_what_the_search_begins_anew_with_shows_by_itself_and_had_not_been_refus
     shown.remove("input_delay")
     assert begun(this) == ["gravity"]
     # Who had won the round is a rival of what the search begins anew with.
-    (anew,) = forward_selection._seconds((), replace(found, rounds=(this,)), 1.0)
-    contest = forward_selection.contest_of([anew], slow.point.structure, "gravity")
+    (anew,) = forward_selection._narrow_rounds((), replace(found, rounds=(this,)), 1.0)
+    contest = forward_selection.round_margin([anew], slow.point.structure, "gravity")
     assert [h.added[0] for h, _ in contest.rivals] == ["joint_elasticity", "input_delay"]
 
 
 @pytest.mark.parametrize("deviance", [-9000.0, -5000.0])
 def test_the_end_that_lost_by_one_effect_could_stand_in_its_place(deviance: float) -> None:
     one, other = fitted(-6000.0, "gravity", "spring"), fitted(deviance, "gravity", "load_change")
-    searches = [forward_selection.Search(fitted(0.0), end, (), ()) for end in (one, other)]
-    found = forward_selection._likelier((), *searches, {})
+    searches = [forward_selection.SearchResult(fitted(0.0), end, (), ()) for end in (one, other)]
+    found = forward_selection._better_search((), *searches, {})
     best, lost, effect, rival = (one, other, "spring", "load_change")
     if deviance < -6000.0:
         best, lost, effect, rival = other, one, rival, effect
     assert found.last is best
-    assert [(w.effect, w.rival) for w in found.swaps] == [(effect, rival)] and found.swaps[0].point is lost
+    assert [(w.effect, w.rival) for w in found.alternatives] == [(effect, rival)] and found.alternatives[
+        0
+    ].point is lost
     # What is told already is not told twice, and ends that differ by more stand for no single effect.
-    again = [replace(s, swaps=(forward_selection.Swap(effect, rival, lost),)) for s in searches]
-    assert len(forward_selection._likelier((), *again, {}).swaps) == 1
+    again = [replace(s, alternatives=(forward_selection.Alternative(effect, rival, lost),)) for s in searches]
+    assert len(forward_selection._better_search((), *again, {}).alternatives) == 1
     longer = replace(searches[1], last=fitted(0.0, "gravity", "load_change", "motor_lag"))
-    assert forward_selection._likelier((), searches[0], longer, {}) is searches[0]
+    assert forward_selection._better_search((), searches[0], longer, {}) is searches[0]
 
 
 def test_a_lost_round_is_looked_at_with_a_filter_that_remembers_longer_than_the_model_is_right(monkeypatch) -> None:
     recording = Recording("none", 0.002 * np.arange(500), np.zeros(500), np.zeros(500), "%", "rad", 1e-4)
-    cases = [likelihood.prepare(recording, Structure.of(BASE))]
-    short, long = (likelihood.density_of(cases[0], memory) for memory in (local_optima.MEMORY, selection_round.LONG))
-    before, asked = replace(fitted(0.0), density=short), {"density": 4.0 * short}
+    cases = [likelihood.prepare_recording(recording, Structure.of(BASE))]
+    short, long = (
+        likelihood.process_noise_of(cases[0], memory) for memory in (local_optima.MIN_MEMORY, thresholds.LONG_MEMORY)
+    )
+    before, asked = replace(fitted(0.0), process_noise=short), {"density": 4.0 * short}
     lost = selection_round.Round(before, (hypothesis(-10.0, "spring"),), 1.0, False)
-    plain, seen = hypothesis(-2.0 * selection_round.PLAIN, "spring"), []
+    plain, seen = hypothesis(-2.0 * thresholds.MIN_GAIN_AT_OTHER_MEMORY, "spring"), []
 
     def contest(cases, base, candidates):
-        assert base.density == long and set(candidates) == set(selection_round.SLOW)
+        assert base.process_noise == long and set(candidates) == set(selection_round.SLOW_EFFECTS)
         return seen
 
     def compete(cases, base, known, candidates, held):
-        assert list(known) == seen and set(candidates) == set(selection_round.SLOW)
+        assert list(known) == seen and set(candidates) == set(selection_round.SLOW_EFFECTS)
         return selection_round.Round(base, tuple(known), 1.0, True)
 
-    monkeypatch.setattr(local_optima, "settle", lambda *given: replace(before, density=given[-1]))
-    monkeypatch.setattr(likelihood, "best_density", lambda cases, structure, values, around: asked["density"])
-    monkeypatch.setattr(selection_round, "contest", contest)
-    monkeypatch.setattr(selection_round, "compete", compete)
+    monkeypatch.setattr(local_optima, "refit", lambda *given: replace(before, process_noise=given[-1]))
+    monkeypatch.setattr(
+        likelihood, "most_likely_process_noise", lambda cases, structure, values, around: asked["density"]
+    )
+    monkeypatch.setattr(selection_round, "screen_candidates", contest)
+    monkeypatch.setattr(selection_round, "run_round", compete)
     seen[:] = [plain]
-    found = selection_round.slower(cases, lost, CANDIDATES, {})
-    assert found.won and found.rivals == (plain,) and found.before.density == long
+    found = selection_round.retry_with_long_memory(cases, lost, CANDIDATES, {})
+    assert found.won and found.rivals == (plain,) and found.before.process_noise == long
     # What any filter with so long a memory may see by chance is nothing.
-    seen[:] = [hypothesis(-0.8 * selection_round.PLAIN, "spring")]
-    assert selection_round.slower(cases, lost, CANDIDATES, {}) is lost
+    seen[:] = [hypothesis(-0.8 * thresholds.MIN_GAIN_AT_OTHER_MEMORY, "spring")]
+    assert selection_round.retry_with_long_memory(cases, lost, CANDIDATES, {}) is lost
     # A round that is won, no slow torque on offer, a memory as long, a model that is right for longer: nothing to ask.
-    monkeypatch.setattr(selection_round, "contest", None)
-    won, longest = replace(lost, won=True), replace(lost, before=replace(before, density=long))
-    assert selection_round.slower(cases, won, CANDIDATES, {}) is won
-    assert selection_round.slower(cases, lost, ("torque_ripple",), {}) is lost
-    assert selection_round.slower(cases, longest, CANDIDATES, {}) is longest
+    monkeypatch.setattr(selection_round, "screen_candidates", None)
+    won, longest = replace(lost, won=True), replace(lost, before=replace(before, process_noise=long))
+    assert selection_round.retry_with_long_memory(cases, won, CANDIDATES, {}) is won
+    assert selection_round.retry_with_long_memory(cases, lost, ("torque_ripple",), {}) is lost
+    assert selection_round.retry_with_long_memory(cases, longest, CANDIDATES, {}) is longest
     asked["density"] = 0.9 * short
-    assert selection_round.slower(cases, lost, CANDIDATES, {}) is lost
+    assert selection_round.retry_with_long_memory(cases, lost, CANDIDATES, {}) is lost
 
 
 @pytest.mark.parametrize(("alone", "again"), [(-100.0, True), (-9000.0, False)])
@@ -670,19 +708,21 @@ def test_what_is_far_behind_the_one_that_it_is_taken_for_is_tried_in_its_place(m
         asked.append((winner.added, effect))
         return hypothesis(-9990.0, effect)
 
-    monkeypatch.setattr(selection_round, "contest", lambda *rest: seen)
-    monkeypatch.setattr(selection_round, "_following", lambda *rest: [])
-    monkeypatch.setattr(selection_round, "_freed", lambda *rest: [])
-    monkeypatch.setattr(selection_round, "_finished", lambda cases, found, *rest: list(found))
-    monkeypatch.setattr(selection_round, "_instead", instead)
+    monkeypatch.setattr(selection_round, "screen_candidates", lambda *rest: seen)
+    monkeypatch.setattr(selection_round, "_fit_followers", lambda *rest: [])
+    monkeypatch.setattr(selection_round, "_fit_beside_free_motion", lambda *rest: [])
+    monkeypatch.setattr(selection_round, "_refit_hypotheses", lambda cases, found, *rest: list(found))
+    monkeypatch.setattr(selection_round, "_fit_in_place_of_winner", instead)
     monkeypatch.setattr(selection_round, "plausible", lambda *rest: True)
-    monkeypatch.setattr(local_optima, "settle", lambda *rest: fitted(0.0))
-    monkeypatch.setattr(local_optima, "deepen", lambda cases, point, held: point)
-    monkeypatch.setattr(selection_round, "_on_the_other_side", lambda *rest: [])
+    monkeypatch.setattr(local_optima, "refit", lambda *rest: fitted(0.0))
+    monkeypatch.setattr(local_optima, "refit_through_best_noise", lambda cases, point, held: point)
+    monkeypatch.setattr(selection_round, "_fit_on_other_gap_side", lambda *rest: [])
     monkeypatch.setattr(
-        selection_round, "_judged", lambda cases, before, found, held: selection_round.Round(before, tuple(found), 1.0)
+        selection_round,
+        "_decide_round",
+        lambda cases, before, found, held: selection_round.Round(before, tuple(found), 1.0),
     )
-    found = selection_round.compete((), fitted(0.0), (), ("gravity", "constant_offset", "motor_lag"), {})
+    found = selection_round.run_round((), fitted(0.0), (), ("gravity", "constant_offset", "motor_lag"), {})
     assert asked == ([(("gravity",), "constant_offset")] if again else [])
     best = {h.added[0]: h.deviance for h in found.rivals}
     assert best == {"gravity": -9500.0, "constant_offset": -9990.0 if again else alone, "motor_lag": -90.0}
@@ -699,14 +739,20 @@ def test_a_slow_torque_is_found_beside_a_fast_one_that_nobody_looks_for(monkeypa
     time = 0.002 * np.arange(15000)
     duty = steps(rng, len(time), 300, 40.0)
     y, _ = run(plain.with_("spring", "periodic_disturbance"), values | there, time, duty)
-    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
-    before = local_optima.settle(cases, plain, values, {}, likelihood.density_of(cases[0], local_optima.MEMORY))
+    cases = [
+        likelihood.prepare_recording(
+            Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain
+        )
+    ]
+    before = local_optima.refit(
+        cases, plain, values, {}, likelihood.process_noise_of(cases[0], local_optima.MIN_MEMORY)
+    )
     candidates = ("spring", "thermal_fade")
-    lost = selection_round.compete(cases, before, (), candidates, {})
+    lost = selection_round.run_round(cases, before, (), candidates, {})
     assert not lost.won
     # As if something faster still kept the filter that a recording asks for short.
-    monkeypatch.setattr(likelihood, "best_density", lambda cases, structure, values, around: 2.0 * around)
-    found = selection_round.slower(cases, lost, candidates, {})
+    monkeypatch.setattr(likelihood, "most_likely_process_noise", lambda cases, structure, values, around: 2.0 * around)
+    found = selection_round.retry_with_long_memory(cases, lost, candidates, {})
     if stiffness == 0.0:
         assert found is lost
     else:
@@ -720,7 +766,7 @@ def test_no_more_effects_than_that_are_looked_for(monkeypatch, alone: int, late:
     names = ("spring", "motor_lag", "gravity", "input_delay", "supply_sag", "thermal_fade")
     points = [fitted(-100.0 * n, *names[:n]) for n in range(len(names) + 1)]
 
-    def following(before: likelihood.Point, won: bool) -> selection_round.Round:
+    def following(before: likelihood.Fit, won: bool) -> selection_round.Round:
         n = len(before.structure.named)
         return selection_round.Round(before, (selection_round.Hypothesis((names[n],), points[n + 1]),), 1.0, won)
 
@@ -730,14 +776,14 @@ def test_no_more_effects_than_that_are_looked_for(monkeypatch, alone: int, late:
     def slower(cases, this, candidates, held):
         return following(this.before, True) if late and not this.won else this
 
-    monkeypatch.setattr(selection_round, "compete", compete)
-    monkeypatch.setattr(selection_round, "slower", slower)
-    monkeypatch.setattr(local_optima, "rejudged", lambda cases, point, held: point)
-    monkeypatch.setattr(local_optima, "relocated", lambda cases, point, held: point)
-    monkeypatch.setattr(forward_selection, "_plainer", lambda cases, this, held: this.rivals[0].point)
+    monkeypatch.setattr(selection_round, "run_round", compete)
+    monkeypatch.setattr(selection_round, "retry_with_long_memory", slower)
+    monkeypatch.setattr(local_optima, "refit_at_own_noise", lambda cases, point, held: point)
+    monkeypatch.setattr(local_optima, "restart_gap", lambda cases, point, held: point)
+    monkeypatch.setattr(forward_selection, "_plain_winner", lambda cases, this, held: this.rivals[0].point)
     monkeypatch.setattr(forward_selection, "plausible", lambda cases, point, before: True)
-    best, rounds = forward_selection._grown((), points[0], names, {}, lambda sentence, share: None)
-    assert len(best.structure.named) == effects == sum(r.won for r in rounds) <= forward_selection.MOST
+    best, rounds = forward_selection._add_effects((), points[0], names, {}, lambda sentence, share: None)
+    assert len(best.structure.named) == effects == sum(r.won for r in rounds) <= thresholds.MAX_EFFECTS
 
 
 @pytest.mark.parametrize("friction", [2.0, 0.0])
@@ -752,22 +798,28 @@ def test_of_two_effects_that_hide_each_other_one_is_taken_on_credit(friction: fl
     duty = 60.0 * np.sin(2.0 * np.pi * 0.002 * np.cumsum(np.concatenate([rise, rise[::-1]])))
     full = plain.with_("gravity", "coulomb_friction", "periodic_disturbance")
     y, _ = run(full, values | there | shaken, time, duty)
-    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
-    before = local_optima.settle(cases, plain, values, {}, likelihood.density_of(cases[0], local_optima.MEMORY))
-    gravity = selection_round.contest(cases, before, ["gravity"])[0]
-    assert not model_comparison.earns(before, gravity.point)
+    cases = [
+        likelihood.prepare_recording(
+            Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain
+        )
+    ]
+    before = local_optima.refit(
+        cases, plain, values, {}, likelihood.process_noise_of(cases[0], local_optima.MIN_MEMORY)
+    )
+    gravity = selection_round.screen_candidates(cases, before, ["gravity"])[0]
+    assert not model_comparison.is_significant(before, gravity.point)
     # As if its gain were just what it must be to be looked behind.
-    just = (before.deviance - gravity.deviance) / model_comparison.LEAST
+    just = (before.deviance - gravity.deviance) / thresholds.MIN_GAIN
     lost = selection_round.Round(before, (gravity,), 0.99 * just, won=False)
-    found = selection_round._on_credit(cases, lost, ("gravity", "coulomb_friction"), {})
+    found = selection_round._won_with_second(cases, lost, ("gravity", "coulomb_friction"), {})
     assert found.won is bool(friction) and found.rivals == lost.rivals
     if friction:
-        after = selection_round.compete(cases, found.rivals[0].point, (), ("coulomb_friction",), {})
+        after = selection_round.run_round(cases, found.rivals[0].point, (), ("coulomb_friction",), {})
         best = after.rivals[0].point.values
         assert after.won and best["coulomb_friction"] == pytest.approx(friction, rel=0.01)
         assert best["gravity_gain"] == pytest.approx(2.0, rel=0.01)
     # What gained less is not looked behind.
-    assert not selection_round._on_credit(cases, replace(lost, unit=1.01 * just), CANDIDATES, {}).won
+    assert not selection_round._won_with_second(cases, replace(lost, overdispersion=1.01 * just), CANDIDATES, {}).won
 
 
 def test_what_gains_much_with_a_rattling_motor_is_tried_with_the_smaller_model_s(monkeypatch) -> None:
@@ -778,35 +830,33 @@ def test_what_gains_much_with_a_rattling_motor_is_tried_with_the_smaller_model_s
     wild = replace(wild, values={"input_gain": 0.5, "motor_share": 0.02})
     asked = []
 
-    def settle(cases, structure, values, held, density):
+    def settle(cases, structure, values, held, process_noise):
         asked.append(values)
         return fitted(-9e3, "periodic_disturbance", "gravity", unit=10.0)
 
-    monkeypatch.setattr(local_optima, "settle", settle)
-    monkeypatch.setattr(local_optima, "relocated", lambda cases, point, held: point)
-    sounder = selection_round._sounder((), smaller, wild, {})
+    monkeypatch.setattr(local_optima, "refit", settle)
+    monkeypatch.setattr(local_optima, "restart_gap", lambda cases, point, held: point)
+    sounder = selection_round._restart_for_gain((), smaller, wild, {})
     assert asked == [{"input_gain": 0.5, "motor_share": 0.4}] and sounder.deviance == -9e3
-    monkeypatch.setattr(
-        local_optima, "settle", lambda *given: fitted(-9e3, "periodic_disturbance", "gravity", unit=1e4)
-    )
-    assert selection_round._sounder((), smaller, wild, {}) is wild
+    monkeypatch.setattr(local_optima, "refit", lambda *given: fitted(-9e3, "periodic_disturbance", "gravity", unit=1e4))
+    assert selection_round._restart_for_gain((), smaller, wild, {}) is wild
 
 
 @pytest.mark.parametrize("gain", [0.9, 0.09])
 def test_what_would_earn_by_its_own_unit_is_tried_in_a_sounder_place_too(monkeypatch, gain: float) -> None:
     """The round's unit is that of the best, and may be ten times another's; what earns by neither is left alone."""
-    best, other = fitted(-1e4, "gravity"), fitted(-gain * 10.0 * model_comparison.LEAST, "motor_lag")
+    best, other = fitted(-1e4, "gravity"), fitted(-gain * 10.0 * thresholds.MIN_GAIN, "motor_lag")
     rivals, moved = [selection_round.Hypothesis(p.structure.named, p) for p in (best, other)], []
 
     def sounder(cases, before, point, held):
         moved.append(point.structure.named)
         return point
 
-    monkeypatch.setattr(model_comparison, "worth", lambda points: 10.0 if best in points else 1.0)
+    monkeypatch.setattr(model_comparison, "overdispersion", lambda points: 10.0 if best in points else 1.0)
     monkeypatch.setattr(selection_round, "plausible", lambda *rest: True)
-    monkeypatch.setattr(selection_round, "_tested", lambda cases, before, h, held: (before, False))
-    monkeypatch.setattr(selection_round, "_sounder", sounder)
-    assert not selection_round._judged((), fitted(0.0), rivals, {}).won
+    monkeypatch.setattr(selection_round, "_test_against_smaller", lambda cases, before, h, held: (before, False))
+    monkeypatch.setattr(selection_round, "_restart_for_gain", sounder)
+    assert not selection_round._decide_round((), fitted(0.0), rivals, {}).won
     assert moved == [("gravity",), ("motor_lag",)][: 2 if gain > 0.1 else 1]
 
 
@@ -819,19 +869,24 @@ def test_a_lag_is_tried_on_the_other_side_of_the_dead_band(behind: float) -> Non
     full, there = plain.with_("motor_lag"), {"lag_time": 0.03, "lag_dead_band": behind}
     duty = steps(np.random.default_rng(5), len(time), 100, 30.0)
     y, _ = run(full, values | there, time, duty)
-    cases = [likelihood.prepare(Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain)]
-    density = likelihood.density_of(cases[0], local_optima.MEMORY)
-    before = local_optima.settle(cases, plain, values, {}, density)
+    cases = [
+        likelihood.prepare_recording(
+            Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain
+        )
+    ]
+    process_noise = likelihood.process_noise_of(cases[0], local_optima.MIN_MEMORY)
+    before = local_optima.refit(cases, plain, values, {}, process_noise)
     for side in (0.0, 1.0):
-        begun = local_optima.settle(cases, full, values | there | {"lag_dead_band": side}, {}, density)
-        (other,) = selection_round._on_the_other_side(
+        begun = local_optima.refit(cases, full, values | there | {"lag_dead_band": side}, {}, process_noise)
+        (other,) = selection_round._fit_on_other_gap_side(
             cases, before, selection_round.Hypothesis(("motor_lag",), begun), {}
         )
         assert other.point.values["lag_dead_band"] == 1.0 - side
         assert (other.deviance < begun.deviance) == (side != behind)
-    delay = local_optima.settle(cases, plain.with_("input_delay"), values | {"delay": 0.03}, {}, density)
+    delay = local_optima.refit(cases, plain.with_("input_delay"), values | {"delay": 0.03}, {}, process_noise)
     assert (
-        selection_round._on_the_other_side(cases, before, selection_round.Hypothesis(("input_delay",), delay), {}) == []
+        selection_round._fit_on_other_gap_side(cases, before, selection_round.Hypothesis(("input_delay",), delay), {})
+        == []
     )
 
 
@@ -841,19 +896,27 @@ def test_what_goes_may_stand_in_the_place_of_what_stays(monkeypatch, lag: float)
     first, joint = fitted(0.0), fitted(-85.0, "joint_elasticity")
     both, delay = fitted(-150.0, "motor_lag", "input_delay"), fitted(-90.0, "input_delay")
     other = fitted(lag, "motor_lag")
-    monkeypatch.setattr(local_optima, "kept", lambda point: {})
-    monkeypatch.setattr(local_optima, "settle", lambda *rest: delay)
-    monkeypatch.setattr(local_optima, "highest", lambda *rest: joint)
-    monkeypatch.setattr(forward_selection, "_pruned", lambda cases, best, begun, held: (best, [begun]))
+    monkeypatch.setattr(local_optima, "held_values", lambda point: {})
+    monkeypatch.setattr(local_optima, "refit", lambda *rest: delay)
+    monkeypatch.setattr(local_optima, "best_refit", lambda *rest: joint)
+    monkeypatch.setattr(forward_selection, "_prune", lambda cases, best, begun, held: (best, [begun]))
     monkeypatch.setattr(
-        forward_selection, "_swapped", lambda *rest: [forward_selection.Swap("input_delay", "motor_lag", other)]
+        forward_selection,
+        "_alternatives",
+        lambda *rest: [forward_selection.Alternative("input_delay", "motor_lag", other)],
     )
-    told = (forward_selection.Swap("input_delay", "joint_elasticity", fitted(-140.0, "motor_lag", "joint_elasticity")),)
-    found = forward_selection.less(forward_selection.Search(first, both, (), (), swaps=told), ["motor_lag"], {})
-    alike = {(w.effect, w.rival): w.point for w in found.swaps}
+    told = (
+        forward_selection.Alternative(
+            "input_delay", "joint_elasticity", fitted(-140.0, "motor_lag", "joint_elasticity")
+        ),
+    )
+    found = forward_selection.drop_effects(
+        forward_selection.SearchResult(first, both, (), (), alternatives=told), ["motor_lag"], {}
+    )
+    alike = {(w.effect, w.rival): w.point for w in found.alternatives}
     if lag < delay.deviance:
         assert found.last is other and alike == {("motor_lag", "input_delay"): delay}
     else:
         assert found.last is delay
         assert alike == {("input_delay", "motor_lag"): other, ("input_delay", "joint_elasticity"): joint}
-    assert found.lesser == (first,)
+    assert found.smaller_models == (first,)

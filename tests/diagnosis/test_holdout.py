@@ -36,15 +36,17 @@ def made(supply: float = 0.0, load: float = 0.0) -> Recording:
     return Recording("made", time, duty, np.round(y / COUNT) * COUNT, "%", "rad", COUNT, optional=more)
 
 
-def fitted(recording: Recording) -> tuple[list[likelihood.Case], likelihood.Point, list[holdout.Part]]:
+def fitted(
+    recording: Recording,
+) -> tuple[list[likelihood.PreparedRecording], likelihood.Fit, list[holdout.HoldoutPart]]:
     train, held_out = holdout.split([recording])
-    cases = preparation.prepare(train, STRUCTURE)
-    return cases, likelihood.fit(cases, STRUCTURE, VALUES, tuple(VALUES)), held_out
+    cases = preparation.prepare_recordings(train, STRUCTURE)
+    return cases, likelihood.fit_with_process_noise(cases, STRUCTURE, VALUES, tuple(VALUES)), held_out
 
 
 @pytest.mark.parametrize("supply", [0.0, 0.1])
 def test_a_supply_that_is_logged_acts_once_in_what_is_held_out(supply: float) -> None:
-    assert holdout.unseen(*fitted(made(supply))) == []
+    assert holdout.physics_only_in_holdout(*fitted(made(supply))) == []
 
 
 def test_a_supply_that_nobody_told_of_is_seen_there() -> None:
@@ -53,11 +55,11 @@ def test_a_supply_that_nobody_told_of_is_seen_there() -> None:
     cases, point, held_out = fitted(recording)
     volts = np.where(recording.time > held_out[0].begin, 0.5, 1.0) * recording.optional["supply"]
     (part,) = [replace(p, recording=replace(recording, optional={"supply": volts})) for p in held_out]
-    assert len(holdout.unseen(cases, point, [part])) == 1
+    assert len(holdout.physics_only_in_holdout(cases, point, [part])) == 1
 
 
 def test_a_load_that_grew_a_little_just_before_is_seen_there() -> None:
-    (says,) = holdout.unseen(*fitted(made(load=0.015)))
+    (says,) = holdout.physics_only_in_holdout(*fitted(made(load=0.015)))
     assert "goes with acceleration" in says
 
 
@@ -77,10 +79,10 @@ def test_what_goes_with_the_acceleration_is_less_where_that_is(
     def examined(missing, lever):
         late = float(missing.time[0]) >= held_out[0].begin
         goes = "acceleration" if late else "velocity"
-        return nonparametric.Leftover(0.5, 0.0, (goes,), goes, size if late else 0.06, ())
+        return nonparametric.RemainingDependence(0.5, 0.0, (goes,), goes, size if late else 0.06, ())
 
-    monkeypatch.setattr(nonparametric, "examine", examined)
-    said = holdout.unseen(cases, point, held_out)
+    monkeypatch.setattr(nonparametric, "examine_dependence", examined)
+    said = holdout.physics_only_in_holdout(cases, point, held_out)
     assert ["goes with acceleration" in says for says in said] == [True] * seen
 
 
@@ -106,7 +108,7 @@ def test_a_held_out_part_in_which_nothing_was_read_is_run_all_the_same() -> None
 
 @pytest.mark.parametrize("speed", [False, True])
 def test_an_unknown_loop_is_refused_before_the_search_begins(monkeypatch, speed: bool) -> None:
-    monkeypatch.setattr(diagnose.forward_selection, "find", None)
+    monkeypatch.setattr(diagnose.forward_selection, "search", None)
     recording = made()
     recording = replace(recording, output_unit="rad/s") if speed else recording
     with pytest.raises(BadInput, match="loop"):
@@ -133,8 +135,8 @@ def test_a_battery_that_runs_down_is_no_other_axis(tmp_path: Path) -> None:
     )
     full, low = (on_battery(v, tmp_path, i) for i, v in enumerate((12.6, 10.8)))
     both, _ = load([full, low])
-    cases = preparation.prepare(both, STRUCTURE)
-    point = likelihood.fit(cases, STRUCTURE, VALUES, tuple(VALUES))
+    cases = preparation.prepare_recordings(both, STRUCTURE)
+    point = likelihood.fit_with_process_noise(cases, STRUCTURE, VALUES, tuple(VALUES))
     assert point.values["input_gain"] == pytest.approx(VALUES["input_gain"], rel=1e-3)
     model = maximum_likelihood.to_model(cases, point, both, {})
     fmu = python_fmu.export(model, tmp_path / "axis.fmu")

@@ -11,14 +11,21 @@ import pytest
 from axis_runs import run, steps
 from scipy.interpolate import CubicHermiteSpline
 
-from twin.diagnosis import cross_validation, diagnose, holdout, model_comparison, nonparametric, residual_torque
-from twin.diagnosis.forward_selection import Search, Swap
-from twin.diagnosis.nonparametric import Term
-from twin.diagnosis.plausibility import plausible
+from twin.diagnosis import (
+    diagnose,
+    holdout,
+    model_comparison,
+    nonparametric,
+    residual_torque,
+    thresholds,
+)
+from twin.diagnosis.forward_selection import Alternative, SearchResult
+from twin.diagnosis.nonparametric import CurveTerm
+from twin.diagnosis.plausibility import is_plausible
 from twin.effects.catalogue import CANDIDATES, UNKNOWN
 from twin.effects.knots import KNOTS, held, line, names, spots, through
 from twin.estimation import contact_masking, likelihood, local_optima, maximum_likelihood, preparation
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -29,7 +36,7 @@ COUNT = 6.283185307179586 / 16384
 SAMPLES = 15000
 
 
-def recorded(seed: int, missing: tuple[str, ...] = (), noise: float = 0.3, **values: float) -> Case:
+def recorded(seed: int, missing: tuple[str, ...] = (), noise: float = 0.3, **values: float) -> PreparedRecording:
     """A counted recording of 30 s with white torque noise, made with the kernel and given to it without `missing`."""
     rng = np.random.default_rng(seed)
     time = 0.002 * np.arange(SAMPLES)
@@ -41,30 +48,32 @@ def recorded(seed: int, missing: tuple[str, ...] = (), noise: float = 0.3, **val
         name="made", time=time, input=command, output=np.round(y / COUNT) * COUNT, input_unit="%", output_unit="rad",
         resolution=COUNT,
     )  # fmt: skip
-    return likelihood.prepare(recording, STRUCTURE)
+    return likelihood.prepare_recording(recording, STRUCTURE)
 
 
 @cache
-def fitted(case_key: str) -> tuple[Case, Point]:
+def fitted(case_key: str) -> tuple[PreparedRecording, Fit]:
     case = CASES[case_key]()
-    return case, likelihood.fit([case], STRUCTURE, VALUES, FREE)
+    return case, likelihood.fit_with_process_noise([case], STRUCTURE, VALUES, FREE)
 
 
-def with_curve(cases: list[Case], base: Point, term: Term) -> Point:
+def with_curve(cases: list[PreparedRecording], base: Fit, term: CurveTerm) -> Fit:
     """The base and a term of no known shape, fitted together."""
-    return nonparametric.finish(cases, nonparametric.sketch(cases, base, term))
+    return nonparametric.fit_curve(cases, nonparametric.sketch_curve(cases, base, term))
 
 
-def with_name(case: Case, base: Point, *names: str) -> Point:
+def with_name(case: PreparedRecording, base: Fit, *names: str) -> Fit:
     """The base and effects, fitted together."""
     structure = STRUCTURE.with_(*names)
-    mine, free = preparation.with_steps([case], structure), preparation.free_parameters(structure)
-    return likelihood.climb(mine, structure, preparation.completed(structure, base.values), base.density, free)
+    mine, free = preparation.with_internal_step([case], structure), preparation.free_parameters(structure)
+    return likelihood.levenberg_marquardt(
+        mine, structure, preparation.complete_values(structure, base.values), base.process_noise, free
+    )
 
 
-def hidden(case: Case) -> Case:
+def hidden(case: PreparedRecording) -> PreparedRecording:
     """The case with its first second not judged."""
-    return replace(case, unforeseen=case.drive.time < 1.0)
+    return replace(case, contact_mask=case.drive.time < 1.0)
 
 
 def bump(at: np.ndarray) -> np.ndarray:
@@ -110,7 +119,7 @@ CASES = {
 
 def test_shapes_without_a_name_are_no_candidates():
     assert not set(UNKNOWN) & set(CANDIDATES)
-    assert {f"unknown_{v}" for v in nonparametric.TERMS} == set(UNKNOWN)
+    assert {f"unknown_{v}" for v in nonparametric.TERM_KINDS} == set(UNKNOWN)
 
 
 def drawn(values: dict[str, float], at: np.ndarray, prefix: str = "unknown_position") -> np.ndarray:
@@ -133,7 +142,7 @@ def test_line_goes_through_its_knots_without_a_corner_and_straight_on_beyond():
     assert np.allclose(drawn(values, at, "x"), smooth + beyond, atol=1e-9)
     level = [held(x, "x", SimpleNamespace(**values)) for x in at]
     assert np.allclose(level, smooth, atol=1e-9)
-    assert np.allclose(nonparametric._weights(at, places) @ heights, smooth, atol=1e-9)
+    assert np.allclose(nonparametric._knot_weights(at, places) @ heights, smooth, atol=1e-9)
 
 
 def test_line_draws_a_parabola_as_it_is():
@@ -144,7 +153,7 @@ def test_line_draws_a_parabola_as_it_is():
 def test_knots_that_saw_nothing_lie_on_the_line_of_their_neighbours():
     at = np.arange(KNOTS) ** 1.5
     values, free = through("unknown_position", at, at**2), names("unknown_position")[2:-3]
-    bridged = nonparametric._bridged(values, "unknown_position", free)
+    bridged = nonparametric._interpolate_unseen_knots(values, "unknown_position", free)
     assert [bridged[n] for n in free] == [values[n] for n in free]
     below, above = np.polyfit(at[2:4], at[2:4] ** 2, 1), np.polyfit(at[-5:-3], at[-5:-3] ** 2, 1)
     assert [bridged[n] for n in names("unknown_position")[:2]] == pytest.approx(np.polyval(below, at[:2]))
@@ -152,10 +161,10 @@ def test_knots_that_saw_nothing_lie_on_the_line_of_their_neighbours():
 
 
 def test_knots_lie_closer_where_a_curve_bends():
-    fine = np.linspace(-3.0, 5.0, nonparametric.FINE)
-    for alike in (np.zeros(nonparametric.FINE), 2.0 * fine**2 + fine):
-        assert nonparametric._where_it_bends(fine, alike) == pytest.approx(np.linspace(-3.0, 5.0, KNOTS), abs=1e-6)
-    placed = nonparametric._where_it_bends(fine, bump(fine))
+    fine = np.linspace(-3.0, 5.0, nonparametric.FINE_KNOTS)
+    for alike in (np.zeros(nonparametric.FINE_KNOTS), 2.0 * fine**2 + fine):
+        assert nonparametric._knot_positions(fine, alike) == pytest.approx(np.linspace(-3.0, 5.0, KNOTS), abs=1e-6)
+    placed = nonparametric._knot_positions(fine, bump(fine))
     assert placed[0] == fine[0] and placed[-1] == pytest.approx(fine[-1]) and np.all(np.diff(placed) > 0.0)
     even, at = np.linspace(-3.0, 5.0, KNOTS), np.linspace(-3.0, 5.0, 500)
     misses = [np.std(drawn(through("unknown_position", k, bump(k)), at) - bump(at)) for k in (placed, even)]
@@ -164,10 +173,10 @@ def test_knots_lie_closer_where_a_curve_bends():
 
 def test_null_predicts_nothing():
     case, point = fitted("nothing")
-    found = nonparametric.leftover(case, point.structure, point.values)
+    found = nonparametric.remaining_dependence(case, point.structure, point.values)
     assert found.share < 0.05
     assert found.p_value > 1e-3
-    assert not nonparametric.is_left(found)
+    assert not nonparametric.is_dependence_left(found)
 
 
 def test_of_several_recordings_the_one_that_lacks_most_decides():
@@ -175,8 +184,8 @@ def test_of_several_recordings_the_one_that_lacks_most_decides():
     lacking, _ = fitted("bump")
     longer = replace(clean, drive=replace(clean.drive, time=1.0001 * clean.drive.time))
     for cases, telling in (((longer, lacking), lacking), ((clean, longer), longer)):
-        found = Search(point, point, (), cases)
-        assert diagnose._telling(found)[0] is telling
+        found = SearchResult(point, point, (), cases)
+        assert diagnose._worst_recording(found)[0] is telling
 
 
 def late(*missing: str) -> Recording:
@@ -200,7 +209,7 @@ def late(*missing: str) -> Recording:
 @pytest.mark.parametrize("missing", [("drive_saturation",), ("end_stop",), ()])
 def test_where_the_end_shows_what_nothing_before_can_teach_the_middle_is_held_out(missing):
     whole = late(*missing)
-    (train,), (held_out,), found, said = diagnose._searched(
+    (train,), (held_out,), found, said = diagnose._split_and_search(
         [whole], STRUCTURE, {}, ["drive_saturation", "end_stop"], None
     )
     assert set(found.last.structure.ids) == {*STRUCTURE.ids, *missing}
@@ -212,19 +221,19 @@ def test_where_the_end_shows_what_nothing_before_can_teach_the_middle_is_held_ou
     assert not said or ("input" in said[0]) == ("drive_saturation" in missing)
 
 
-@pytest.mark.parametrize("where", [holdout.END, holdout.MIDDLE])
+@pytest.mark.parametrize("where", [holdout.END_PART, holdout.MIDDLE_PART])
 def test_held_out_part_of_a_true_model_is_met_by_its_free_run(where):
     """Whether it lies at the end or in the middle: the FMU starts there anew, from what was read ahead of it."""
     case, point = fitted("nothing")
     truth = maximum_likelihood.to_model([case], replace(point, values=VALUES), [case.recording], {})
     train, held_out = holdout.split([case.recording], where)
-    shown = holdout.traces(truth, truth, [("train", holdout.Part(train[0])), ("holdout", held_out[0])])
+    shown = holdout.traces(truth, truth, [("train", holdout.HoldoutPart(train[0])), ("holdout", held_out[0])])
     assert [t.role for t in shown] == ["train", "holdout"]
     assert np.array_equal(shown[1].time, case.recording.time[held_out[0].inside])
     moved = np.ptp(case.recording.output)
     assert np.nanmax(np.abs(shown[1].after - shown[1].recorded)) < 0.02 * moved
     # What was fitted is run by the kernel, also where nothing is read of it: through the FMU it is the same.
-    (again,) = holdout.traces(truth, truth, [("holdout", holdout.Part(train[0]))])
+    (again,) = holdout.traces(truth, truth, [("holdout", holdout.HoldoutPart(train[0]))])
     assert len(shown[0].after) == len(train[0].time)
     assert np.abs(shown[0].after - again.after).max() < 1e-6 * moved
 
@@ -239,7 +248,9 @@ def test_p_value_is_uniform_on_noise():
         white = rng.standard_normal(len(missing.time) + 40)
         smooth = np.convolve(white, np.ones(20) / 20.0, "same")[20:-20]
         # Louder at speed, as real noise is: that alone is no dependence.
-        found.append(nonparametric.examine(replace(missing, torque=smooth * (1.0 + np.abs(missing.velocity)))).p_value)
+        found.append(
+            nonparametric.examine_dependence(replace(missing, torque=smooth * (1.0 + np.abs(missing.velocity)))).p_value
+        )
     below = [float(np.mean(np.array(found) < level)) for level in (0.1, 0.5)]
     assert below[0] < 0.25
     assert 0.25 < below[1] < 0.75
@@ -247,11 +258,11 @@ def test_p_value_is_uniform_on_noise():
 
 def test_missing_drag_shows_over_velocity():
     case, point = fitted("drag")
-    before = nonparametric.leftover(case, point.structure, point.values)
+    before = nonparametric.remaining_dependence(case, point.structure, point.values)
     assert before.share > 0.2
     assert before.p_value < 1e-2
     assert "velocity" in before.variables
-    assert nonparametric.which_terms(before)[0] == Term("velocity")
+    assert nonparametric.candidate_terms(before)[0] == CurveTerm("velocity")
 
 
 def test_what_a_filter_learns_after_a_silence_is_no_missing_torque():
@@ -270,22 +281,22 @@ def test_what_a_filter_learns_after_a_silence_is_no_missing_torque():
 def test_no_curve_over_angles_that_nobody_knows(monkeypatch, unit: str, count: int, angles: bool) -> None:
     """Each of several recordings of speed begins at its own."""
     case, point = fitted("nothing")
-    case = likelihood.prepare(replace(case.recording, output_unit=unit), STRUCTURE)
-    asked: list[Term] = []
-    monkeypatch.setattr(nonparametric, "which_terms", lambda one: [Term("angle", 3.0), Term("velocity")])
-    monkeypatch.setattr(nonparametric, "sketch", lambda cases, base, term: asked.append(term) or base)
-    monkeypatch.setattr(nonparametric, "finish", lambda cases, p: p)
-    diagnose._nameless(Search(point, point, (), count * (case,)), left(0.3, 0.0, 0.4), left(0.3, 0.0, 0.4), {})
-    assert Term("velocity") in asked and (Term("angle", 3.0) in asked) is angles
+    case = likelihood.prepare_recording(replace(case.recording, output_unit=unit), STRUCTURE)
+    asked: list[CurveTerm] = []
+    monkeypatch.setattr(nonparametric, "candidate_terms", lambda one: [CurveTerm("angle", 3.0), CurveTerm("velocity")])
+    monkeypatch.setattr(nonparametric, "sketch_curve", lambda cases, base, term: asked.append(term) or base)
+    monkeypatch.setattr(nonparametric, "fit_curve", lambda cases, p: p)
+    diagnose._best_curve(SearchResult(point, point, (), count * (case,)), left(0.3, 0.0, 0.4), left(0.3, 0.0, 0.4), {})
+    assert CurveTerm("velocity") in asked and (CurveTerm("angle", 3.0) in asked) is angles
 
 
 def test_bump_over_position_is_found_and_drawn():
     case, base = fitted("bump")
-    before = nonparametric.leftover(case, base.structure, base.values)
+    before = nonparametric.remaining_dependence(case, base.structure, base.values)
     assert before.share > 0.3
     assert before.p_value < 1e-2
     assert "position" in before.variables
-    found = with_curve([case], base, Term("position"))
+    found = with_curve([case], base, CurveTerm("position"))
     assert found.deviance < base.deviance - 200.0
     at = spots("unknown_position", found.values)
     heights = np.array([found.values[n] for n in names("unknown_position")])
@@ -295,7 +306,7 @@ def test_bump_over_position_is_found_and_drawn():
     # A line through other knots than the planted ones misses by a little beside the band.
     assert np.all(np.abs(heights - truth) < 4.0 * band + 0.35)
     assert np.abs(heights - truth)[np.isfinite(band)].max() < 0.3 * 3.0
-    after = nonparametric.leftover(case, found.structure, found.values)
+    after = nonparametric.remaining_dependence(case, found.structure, found.values)
     assert after.size < 0.4 * before.size
 
 
@@ -304,9 +315,9 @@ def test_a_bump_between_two_of_twelve_even_knots_is_drawn_better(monkeypatch: py
     at = np.linspace(-0.9, 0.3, 100)
     truth = drawn(SHARP, at)
     misses, deviances = [], []
-    for placed in (nonparametric._where_it_bends, lambda fine, heights: np.linspace(fine[0], fine[-1], KNOTS)):
-        monkeypatch.setattr(nonparametric, "_where_it_bends", placed)
-        found = with_curve([case], base, Term("position"))
+    for placed in (nonparametric._knot_positions, lambda fine, heights: np.linspace(fine[0], fine[-1], KNOTS)):
+        monkeypatch.setattr(nonparametric, "_knot_positions", placed)
+        found = with_curve([case], base, CurveTerm("position"))
         misses.append(np.std(drawn(found.values, at) - truth))
         deviances.append(found.deviance)
     assert misses[0] < 0.8 * misses[1] and deviances[0] < deviances[1] - 100.0
@@ -320,8 +331,8 @@ def test_a_wave_that_only_one_direction_of_push_knows_is_found():
     place = 3.5 * 0.5 * (1.0 + np.sin(0.7 * missing.time))
     cogging = np.where(missing.command > 0.0, np.sin(8.0 * place), 0.0)
     noise = np.convolve(rng.standard_normal(len(place) + 40), np.ones(20) / 20.0, "same")[20:-20]
-    found = nonparametric.examine(replace(missing, position=place, torque=cogging + noise))
-    assert nonparametric.is_left(found)
+    found = nonparametric.examine_dependence(replace(missing, position=place, torque=cogging + noise))
+    assert nonparametric.is_dependence_left(found)
     assert found.table == "wave 8, push"
     assert found.variables == ("position", "input")
 
@@ -339,15 +350,17 @@ def test_what_a_reversal_leaves_behind_is_found_in_any_unit():
     shares = []
     for lever in (1.0, 1.0 / 64.0):
         seen = replace(missing, position=lever * place, velocity=lever * sign, torque=torque)
-        shares.append({d.table: d.share for d in nonparametric.examine(seen, lever).dependences}["since reversal"])
+        shares.append(
+            {d.table: d.share for d in nonparametric.examine_dependence(seen, lever).dependences}["since reversal"]
+        )
     assert shares[0] > 0.5 and abs(shares[1] - shares[0]) < 1e-9
 
 
 def test_a_wave_is_drawn_with_its_order():
     case, base = fitted("cogging")
-    before = nonparametric.leftover(case, base.structure, base.values)
-    assert nonparametric.which_terms(before)[0] == Term("angle", 7.0)
-    found = with_curve([case], base, Term("angle", 7.0))
+    before = nonparametric.remaining_dependence(case, base.structure, base.values)
+    assert nonparametric.candidate_terms(before)[0] == CurveTerm("angle", 7.0)
+    found = with_curve([case], base, CurveTerm("angle", 7.0))
     assert found.values["unknown_angle_order"] == 7.0
     assert found.values["unknown_angle_sin_1"] == pytest.approx(1.5, abs=0.15)
     others = [v for n, v in found.values.items() if n.startswith("unknown_angle_") and n[-1] in "23456"]
@@ -356,35 +369,35 @@ def test_a_wave_is_drawn_with_its_order():
 
 def test_friction_that_falls_with_time_is_found_and_drawn():
     case, base = fitted("warming")
-    before = nonparametric.leftover(case, base.structure, base.values)
-    assert Term("drag") in nonparametric.which_terms(before)
-    found = with_curve([case], base, Term("drag"))
+    before = nonparametric.remaining_dependence(case, base.structure, base.values)
+    assert CurveTerm("drag") in nonparametric.candidate_terms(before)
+    found = with_curve([case], base, CurveTerm("drag"))
     drawn = np.array([found.values[n] for n in names("unknown_drag")])
     truth = np.array([WARMING[n] for n in names("unknown_drag")])
     # What is constant in it is the viscous friction's.
     assert drawn + found.values["viscous_friction"] == pytest.approx(truth + VALUES["viscous_friction"], abs=0.15)
-    other = with_curve([case], base, Term("time"))
+    other = with_curve([case], base, CurveTerm("time"))
     assert found.deviance < min(base.deviance, other.deviance) - 100.0
 
 
 @pytest.mark.parametrize(
     ("key", "name", "term", "outdone"),
     [
-        ("hump", "quadratic_drag", Term("velocity"), True),  # a name that bends towards what it is not
-        ("humped", "coulomb_friction", Term("velocity"), False),  # a friction that departs from its name
-        ("drag", "quadratic_drag", Term("velocity"), False),
-        ("nothing", "", Term("velocity"), False),
-        ("hump", "", Term("velocity"), True),
+        ("hump", "quadratic_drag", CurveTerm("velocity"), True),  # a name that bends towards what it is not
+        ("humped", "coulomb_friction", CurveTerm("velocity"), False),  # a friction that departs from its name
+        ("drag", "quadratic_drag", CurveTerm("velocity"), False),
+        ("nothing", "", CurveTerm("velocity"), False),
+        ("hump", "", CurveTerm("velocity"), True),
     ],
 )
 def test_what_has_no_name_wins_where_the_names_do_nothing_beside_it(key, name, term, outdone):
     case, first = fitted(key)
     last = with_name(case, first, name) if name else first
-    assert not name or model_comparison.earns(first, last)
+    assert not name or model_comparison.is_significant(first, last)
     nameless = with_curve([case], first, term)
-    found = Search(first, last, (), (case,))
+    found = SearchResult(first, last, (), (case,))
     for p_value in (1.0, 0.0):
-        assert diagnose._outdone(found, nameless, 2 * [left(0.3, p_value, 0.4)]) is outdone
+        assert diagnose._curve_replaces_names(found, nameless, 2 * [left(0.3, p_value, 0.4)]) is outdone
 
 
 @pytest.mark.parametrize(
@@ -393,10 +406,13 @@ def test_what_has_no_name_wins_where_the_names_do_nothing_beside_it(key, name, t
 def test_beside_a_curve_that_does_more_every_name_has_to_earn_its_place(monkeypatch, names, earned, outdone):
     case, first = fitted("hump")
     last = replace(first, structure=STRUCTURE.with_(*("quadratic_drag", "gravity")[:names]))
-    nameless = with_curve([case], first, Term("velocity"))
-    both = replace(nameless, deviance=nameless.deviance - earned * model_comparison.worth([nameless]))
-    monkeypatch.setattr(diagnose, "_beside", lambda found, curve: both)
-    assert diagnose._outdone(Search(first, last, (), (case,)), nameless, 2 * [left(0.3, 0.0, 0.4)]) is outdone
+    nameless = with_curve([case], first, CurveTerm("velocity"))
+    both = replace(nameless, deviance=nameless.deviance - earned * model_comparison.overdispersion([nameless]))
+    monkeypatch.setattr(diagnose, "_fit_names_beside_curve", lambda found, curve: both)
+    assert (
+        diagnose._curve_replaces_names(SearchResult(first, last, (), (case,)), nameless, 2 * [left(0.3, 0.0, 0.4)])
+        is outdone
+    )
 
 
 @pytest.mark.parametrize(
@@ -406,18 +422,18 @@ def test_beside_a_curve_that_does_more_every_name_has_to_earn_its_place(monkeypa
 def test_dry_friction_that_leaves_little_keeps_its_name(monkeypatch, name, size, outdone):
     """No machine's follows a law exactly; and a curve over the speed has its step, so that it does nothing beside."""
     case, first = fitted("hump")
-    last, nameless = replace(first, structure=STRUCTURE.with_(name)), with_curve([case], first, Term("velocity"))
-    monkeypatch.setattr(diagnose, "_beside", lambda found, curve: nameless)
+    last, nameless = replace(first, structure=STRUCTURE.with_(name)), with_curve([case], first, CurveTerm("velocity"))
+    monkeypatch.setattr(diagnose, "_fit_names_beside_curve", lambda found, curve: nameless)
     what = [left(0.8, 0.0, 0.4), left(0.7, 0.0, size)]
-    assert diagnose._outdone(Search(first, last, (), (case,)), nameless, what) is outdone
+    assert diagnose._curve_replaces_names(SearchResult(first, last, (), (case,)), nameless, what) is outdone
 
 
 def test_dry_friction_is_no_motor_that_varies_over_its_turn():
     """However little it leaves: a curve over the speed follows friction's step, one of the motor's gain does not."""
     case, first = fitted("gain")
-    last, nameless = with_name(case, first, "position_dependent_friction"), with_curve([case], first, Term("gain"))
+    last, nameless = with_name(case, first, "position_dependent_friction"), with_curve([case], first, CurveTerm("gain"))
     what = [left(0.8, 0.0, 0.4), left(0.7, 0.0, 0.04)]
-    assert diagnose._outdone(Search(first, last, (), (case,)), nameless, what)
+    assert diagnose._curve_replaces_names(SearchResult(first, last, (), (case,)), nameless, what)
 
 
 @pytest.mark.parametrize(
@@ -427,34 +443,34 @@ def test_a_curve_that_foretells_what_plainly_goes_with_something_has_to_earn_its
     monkeypatch, earned, p_value, outdone
 ):
     case, first = fitted("hump")
-    nameless = with_curve([case], first, Term("velocity"))
-    monkeypatch.setattr(model_comparison, "earned", lambda before, after, doubt=0.0: earned)
+    nameless = with_curve([case], first, CurveTerm("velocity"))
+    monkeypatch.setattr(model_comparison, "gain", lambda before, after, doubt=0.0: earned)
     what = 2 * [left(0.1, p_value, 0.1)]
-    assert diagnose._outdone(Search(first, first, (), (case,)), nameless, what) is outdone
+    assert diagnose._curve_replaces_names(SearchResult(first, first, (), (case,)), nameless, what) is outdone
 
 
 def test_a_name_that_two_stretches_speak_for_is_dropped(monkeypatch):
     case, first = fitted("drag")
     last = with_name(case, first, "quadratic_drag")
-    found = Search(first, last, (), (case,), (first,))
-    assert diagnose._chances(found, first.structure)["quadratic_drag"] < cross_validation.PLAIN
-    assert diagnose._chances(replace(found, lesser=()), first.structure) == {}
+    found = SearchResult(first, last, (), (case,), (first,))
+    assert diagnose._name_p_values(found, first.structure)["quadratic_drag"] < thresholds.NAME_CLEAR_P_VALUE
+    assert diagnose._name_p_values(replace(found, smaller_models=()), first.structure) == {}
     rng = np.random.default_rng(2)
     lucky = np.concatenate([[300.0, 90.0], 10.0 * rng.standard_normal(40) - 2.0])
     for gains, dropped in ((lucky, True), (lucky[:9], False), (np.abs(lucky), False)):
-        monkeypatch.setattr(diagnose.cross_validation, "gains", lambda *a, gains=gains: gains)
-        lasting, _, chances = diagnose._lasting(found, first.structure)
+        monkeypatch.setattr(diagnose.cross_validation, "block_gains", lambda *a, gains=gains: gains)
+        lasting, _, chances = diagnose._drop_unpredictive_names(found, first.structure)
         assert (lasting.last.structure == first.structure) is dropped
-        assert set(chances) == (set() if dropped or len(gains) < cross_validation.LEAST else {"quadratic_drag"})
+        assert set(chances) == (set() if dropped or len(gains) < thresholds.MIN_BLOCKS else {"quadratic_drag"})
 
 
 def test_of_two_names_that_do_the_same_one_is_dropped(monkeypatch):
     """Beside the other neither foretells anything; by itself the one that is there does."""
     case, first = fitted("drag")
     both = with_name(case, first, "quadratic_drag", "friction_asymmetry")
-    swaps = (Swap("quadratic_drag", "gravity", both), Swap("friction_asymmetry", "constant_offset", both))
-    found = Search(first, both, (), (case,), (first,), swaps)
-    monkeypatch.setattr(diagnose, "_idle", lambda cases, sharp, first: [])
+    swaps = (Alternative("quadratic_drag", "gravity", both), Alternative("friction_asymmetry", "constant_offset", both))
+    found = SearchResult(first, both, (), (case,), (first,), swaps)
+    monkeypatch.setattr(diagnose, "_idle_names", lambda cases, sharp, first: [])
     asked = []
 
     def chances(found, first):
@@ -462,14 +478,14 @@ def test_of_two_names_that_do_the_same_one_is_dropped(monkeypatch):
         beside = {"quadratic_drag": 0.4, "friction_asymmetry": 0.5}
         return beside if len(asked) == 1 else {"quadratic_drag": 1e-6}
 
-    monkeypatch.setattr(diagnose, "_chances", chances)
-    lasting, _, _ = diagnose._lasting(found, first.structure)
+    monkeypatch.setattr(diagnose, "_name_p_values", chances)
+    lasting, _, _ = diagnose._drop_unpredictive_names(found, first.structure)
     assert "quadratic_drag" in lasting.last.structure and "friction_asymmetry" not in lasting.last.structure
     assert asked == [both.structure.named, lasting.last.structure.named]
     # It is held against its absence, and what could stand in its place does so without the other, too.
-    assert any("quadratic_drag" not in q.structure for q in lasting.lesser)
-    assert [w.rival for w in lasting.swaps] == ["gravity"]
-    assert "friction_asymmetry" not in lasting.swaps[0].point.structure
+    assert any("quadratic_drag" not in q.structure for q in lasting.smaller_models)
+    assert [w.rival for w in lasting.alternatives] == ["gravity"]
+    assert "friction_asymmetry" not in lasting.alternatives[0].point.structure
 
 
 @pytest.mark.parametrize(("key", "kept"), [("nothing", False), ("drag", True)])
@@ -478,39 +494,42 @@ def test_a_name_that_a_longer_memory_makes_nothing_of_is_not_given(key, kept):
     last = with_name(case, first, "quadratic_drag")
     if not kept:
         last = replace(last, values={**last.values, "quadratic_drag": 0.0})
-    swap = Swap("quadratic_drag", "gravity", last)
-    found = Search(first, last, (), (case,), (first,), (swap,))
-    lasting, (cases, point), _ = diagnose._lasting(found, first.structure)
+    swap = Alternative("quadratic_drag", "gravity", last)
+    found = SearchResult(first, last, (), (case,), (first,), (swap,))
+    lasting, (cases, point), _ = diagnose._drop_unpredictive_names(found, first.structure)
     assert point.structure == lasting.last.structure and len(cases) == 1
     if kept:
         assert lasting is found
     else:
         assert lasting.last.structure == first.structure
-        assert (lasting.lesser, lasting.swaps) == ((), ())
+        assert (lasting.smaller_models, lasting.alternatives) == ((), ())
         assert lasting.last.deviance <= first.deviance + 1.0
-    assert diagnose._lasting(replace(found, last=last), last.structure)[0].last is last
+    assert diagnose._drop_unpredictive_names(replace(found, last=last), last.structure)[0].last is last
 
 
 def test_what_lasts_is_asked_of_a_filter_that_forgets_no_faster_than_the_one_that_chose(monkeypatch):
     """Meetings that nobody foresees, passed over, must not make it forget the slow torques that a name stands for."""
     case, first = fitted("hump")
-    long = replace(first, density=likelihood.density_of(case, 0.4))
-    assert likelihood.best_density([case], long.structure, long.values, around=long.density) > 2.0 * long.density
-    monkeypatch.setattr(local_optima, "sharpened", lambda cases, point: point)
-    monkeypatch.setattr(contact_masking, "foreseeable", lambda cases, point: list(map(hidden, cases)))
-    (judged,), point = diagnose._foreseeing(Search(first, long, (), (case,)))
-    assert judged.unforeseen is not None and point.density == pytest.approx(long.density)
+    long = replace(first, process_noise=likelihood.process_noise_of(case, 0.4))
+    assert (
+        likelihood.most_likely_process_noise([case], long.structure, long.values, around=long.process_noise)
+        > 2.0 * long.process_noise
+    )
+    monkeypatch.setattr(local_optima, "with_longer_memory", lambda cases, point: point)
+    monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: list(map(hidden, cases)))
+    (judged,), point = diagnose._fit_with_longest_memory(SearchResult(first, long, (), (case,)))
+    assert judged.contact_mask is not None and point.process_noise == pytest.approx(long.process_noise)
 
 
 @pytest.mark.parametrize(("took", "drawn"), [(0.9, True), (1.1, False)])
 def test_names_that_leave_little_are_doubted_where_they_took_less_than_depends_on_the_state(took, drawn):
     """What a table foretells on blocks that it was not drawn from a right name takes away, too."""
     case, first = fitted("hump")
-    found = Search(first, with_name(case, first, "quadratic_drag"), (), (case,))
-    before = nonparametric.leftover(case, first.structure, first.values)
+    found = SearchResult(first, with_name(case, first, "quadratic_drag"), (), (case,))
+    before = nonparametric.remaining_dependence(case, first.structure, first.values)
     size = before.size * np.sqrt(1.0 - took * before.share)
-    little = replace(before, share=0.5 * diagnose.FAINT, size=float(size))
-    nameless = diagnose._nameless(found, before, little, {})
+    little = replace(before, share=0.5 * thresholds.FAINT_SHARE, size=float(size))
+    nameless = diagnose._best_curve(found, before, little, {})
     assert ("unknown_velocity" in nameless.structure) is drawn
     assert drawn or nameless is first
 
@@ -522,11 +541,11 @@ def test_curves_are_drawn_beside_a_name_that_is_not_sure(monkeypatch, probabilit
     case, first = fitted("drag")
     last = with_name(case, first, "quadratic_drag")
     monkeypatch.setattr(diagnose, "_probabilities", lambda found: ({"quadratic_drag": probability}, ()))
-    before, after = (nonparametric.leftover(case, p.structure, p.values) for p in (first, last))
-    little = replace(after, share=0.5 * diagnose.FAINT, size=0.0)
+    before, after = (nonparametric.remaining_dependence(case, p.structure, p.values) for p in (first, last))
+    little = replace(after, share=0.5 * thresholds.FAINT_SHARE, size=0.0)
     tried = []
-    monkeypatch.setattr(nonparametric, "finish", lambda cases, sketched: tried.append(sketched) or sketched)
-    diagnose._nameless(Search(first, last, (), (case,)), before, little, {"quadratic_drag": chance})
+    monkeypatch.setattr(nonparametric, "fit_curve", lambda cases, sketched: tried.append(sketched) or sketched)
+    diagnose._best_curve(SearchResult(first, last, (), (case,)), before, little, {"quadratic_drag": chance})
     assert bool(tried) is drawn
 
 
@@ -535,9 +554,9 @@ def test_gap_and_teeth_are_looked_for_anew_only_beside_curves_that_come_near_the
     case, first = fitted("hump")
     last = replace(with_name(case, first, "quadratic_drag"), deviance=first.deviance + gain)
     moved = []
-    monkeypatch.setattr(nonparametric, "relocated", lambda cases, point: moved.append(point) or point)
-    before = nonparametric.leftover(case, first.structure, first.values)
-    diagnose._nameless(Search(first, last, (), (case,)), before, before, {})
+    monkeypatch.setattr(nonparametric, "restart_curve_gap", lambda cases, point: moved.append(point) or point)
+    before = nonparametric.remaining_dependence(case, first.structure, first.values)
+    diagnose._best_curve(SearchResult(first, last, (), (case,)), before, before, {})
     assert bool(moved) is relocated
 
 
@@ -545,48 +564,51 @@ def test_a_knot_that_saw_nothing_that_is_judged_is_on_the_line_between_its_neigh
     case, first = fitted("drag")
     time = case.drive.time
     begin, end = 0.3 * time[-1], 0.8 * time[-1]
-    rattles = replace(case, rattling=(time > begin) & (time < end))
-    sketched = nonparametric.sketch([rattles], first, Term("time"))
+    rattles = replace(case, rattle_mask=(time > begin) & (time < end))
+    sketched = nonparametric.sketch_curve([rattles], first, CurveTerm("time"))
     at = np.array(spots("unknown_time", sketched.values))
     heights = np.array([sketched.values[n] for n in names("unknown_time")])
     free = np.array([n in sketched.free for n in names("unknown_time")])
     inside = (np.append(begin, at[:-1]) > begin) & (np.append(at[1:], end) < end)  # with both of its neighbours
     assert inside.sum() > 1 and not free[inside].any() and free[~inside].sum() > 3
     assert heights[inside] == pytest.approx(np.interp(at[inside], at[free], heights[free]))
-    blind = replace(case, rattling=np.ones(len(time), dtype=bool))
+    blind = replace(case, rattle_mask=np.ones(len(time), dtype=bool))
     missing = residual_torque.missing_torque(case, first.structure, first.values)
-    assert nonparametric._where_judged(blind, missing) is missing
+    assert nonparametric._masked_torque(blind, missing) is missing
 
 
 def test_names_learn_from_a_curve_where_it_found_a_better_place(monkeypatch):
     """Held against the curve they are as good as they can be, on either side of a gap."""
     case, first = fitted("drag")
     best = with_name(case, first, "quadratic_drag")
-    nameless = with_curve([case], first, Term("velocity"))
+    nameless = with_curve([case], first, CurveTerm("velocity"))
     astray = {**best.values, "viscous_friction": 3.0 * best.values["viscous_friction"]}
-    last = likelihood.evaluate([case], best.structure, astray, best.density, best.free)
-    assert model_comparison.earns(last, nameless)
-    learned = diagnose._learned(Search(first, last, (), (case,)), nameless)
+    last = likelihood.evaluate([case], best.structure, astray, best.process_noise, best.free)
+    assert model_comparison.is_significant(last, nameless)
+    learned = diagnose._restart_from_curve(SearchResult(first, last, (), (case,)), nameless)
     assert learned.last.structure == best.structure
     assert learned.last.deviance == pytest.approx(best.deviance, abs=1.0)
     # What it is held against begins there, too.
-    assert learned.lesser[0].deviance == pytest.approx(first.deviance, abs=1.0) and learned.lesser[-1] is first
-    near = Search(first, best, (), (case,))
-    assert diagnose._learned(near, nameless) is near
+    assert (
+        learned.smaller_models[0].deviance == pytest.approx(first.deviance, abs=1.0)
+        and learned.smaller_models[-1] is first
+    )
+    near = SearchResult(first, best, (), (case,))
+    assert diagnose._restart_from_curve(near, nameless) is near
     begun = []
-    monkeypatch.setattr(diagnose.local_optima, "settle", lambda c, s, values, held, d: begun.append(values) or best)
-    monkeypatch.setattr(diagnose.forward_selection, "renewed", lambda found, last: found)
+    monkeypatch.setattr(diagnose.local_optima, "refit", lambda c, s, values, held, d: begun.append(values) or best)
+    monkeypatch.setattr(diagnose.forward_selection, "with_last_model", lambda found, last: found)
     sided = replace(last, free=(*last.free, "shaft_share"), values={**last.values, "shaft_share": 0.9})
-    monkeypatch.setattr(model_comparison, "earns", lambda before, after: True)
-    diagnose._learned(Search(first, sided, (), (case,)), nameless)
+    monkeypatch.setattr(model_comparison, "is_significant", lambda before, after: True)
+    diagnose._restart_from_curve(SearchResult(first, sided, (), (case,)), nameless)
     assert [v["shaft_share"] for v in begun] == [0.9, 0.0, 1.0]
     assert {v["input_gain"] for v in begun} == {nameless.values["input_gain"]}
 
 
 def test_a_name_that_a_curve_has_swallowed_grows_again_beside_it():
     case, first = fitted("humped")
-    last, nameless = with_name(case, first, "coulomb_friction"), with_curve([case], first, Term("velocity"))
-    both = diagnose._beside(Search(first, last, (), (case,)), nameless)
+    last, nameless = with_name(case, first, "coulomb_friction"), with_curve([case], first, CurveTerm("velocity"))
+    both = diagnose._fit_names_beside_curve(SearchResult(first, last, (), (case,)), nameless)
     # The curve alone is what it grows from: larger by a parameter, it cannot fit less well.
     assert both.deviance < nameless.deviance
     assert both.values["coulomb_friction"] == pytest.approx(3.0, rel=0.2)
@@ -595,44 +617,50 @@ def test_a_name_that_a_curve_has_swallowed_grows_again_beside_it():
 @pytest.mark.parametrize(
     ("key", "name", "term", "drawn", "verdict"),
     [
-        ("hump", "", Term("velocity"), True, "unexplained"),
-        ("nothing", "", Term("time"), False, "unexplained"),  # a curve that follows chance
-        ("hump", "quadratic_drag", Term("velocity"), True, "unexplained"),
-        ("drag", "quadratic_drag", Term("time"), False, "partly_explained"),  # a curve that does less than the name
+        ("hump", "", CurveTerm("velocity"), True, "unexplained"),
+        ("nothing", "", CurveTerm("time"), False, "unexplained"),  # a curve that follows chance
+        ("hump", "quadratic_drag", CurveTerm("velocity"), True, "unexplained"),
+        (
+            "drag",
+            "quadratic_drag",
+            CurveTerm("time"),
+            False,
+            "partly_explained",
+        ),  # a curve that does less than the name
     ],
 )
 def test_a_curve_stays_in_the_model_where_it_earns_its_place_and_the_names_do_less(key, name, term, drawn, verdict):
     case, first = fitted(key)
     last = with_name(case, first, name) if name else first
     nameless = with_curve([case], first, term)
-    found, said = diagnose._kept(Search(first, last, (), (case,)), nameless, "unexplained")
+    found, said = diagnose._keep_or_replace(SearchResult(first, last, (), (case,)), nameless, "unexplained")
     assert found.last is (nameless if drawn else last) and said == verdict
 
 
 @pytest.mark.parametrize(
     ("term", "travel", "order"),
     [
-        (Term("push", 8.0), 3.5, 8.0),  # a wave that was seen to repeat on less than a turn
-        (Term("gain"), 9.0, 1.0),
-        (Term("gain"), 0.5, 2.0 * np.pi / 0.75),  # what changes along a short travel need not repeat on it
+        (CurveTerm("push", 8.0), 3.5, 8.0),  # a wave that was seen to repeat on less than a turn
+        (CurveTerm("gain"), 9.0, 1.0),
+        (CurveTerm("gain"), 0.5, 2.0 * np.pi / 0.75),  # what changes along a short travel need not repeat on it
     ],
 )
 def test_a_wave_keeps_its_order_on_a_short_travel(term, travel, order):
     rng = np.random.default_rng(6)
     means = {"position": np.linspace(0.0, travel, 400), "input": rng.uniform(-50.0, 50.0, 400)}
-    start, free = nonparametric._first_waves(means | {"torque": rng.standard_normal(400)}, term, VALUES)
+    start, free = nonparametric._initial_waves(means | {"torque": rng.standard_normal(400)}, term, VALUES)
     assert start[f"unknown_{term.kind}_order"] == pytest.approx(order, rel=1e-3)
     assert set(start) - set(free) == {f"unknown_{term.kind}_order"}
 
 
-def left(share: float, p_value: float, size: float) -> nonparametric.Leftover:
-    return nonparametric.Leftover(share, p_value, ("position",), "position", size, ())
+def left(share: float, p_value: float, size: float) -> nonparametric.RemainingDependence:
+    return nonparametric.RemainingDependence(share, p_value, ("position",), "position", size, ())
 
 
 def test_nothing_is_drawn_of_what_chance_makes():
     seen = nonparametric.Dependence("angle", ("position",), 0.3, 9.0, 0.4)
-    for p_value, terms in ((1e-9, [Term("angle")]), (0.2, [])):
-        assert nonparametric.which_terms(replace(left(0.3, p_value, 0.4), dependences=(seen,))) == terms
+    for p_value, terms in ((1e-9, [CurveTerm("angle")]), (0.2, [])):
+        assert nonparametric.candidate_terms(replace(left(0.3, p_value, 0.4), dependences=(seen,))) == terms
 
 
 def test_what_two_variables_predict_may_be_a_curve_over_either():
@@ -642,48 +670,48 @@ def test_what_two_variables_predict_may_be_a_curve_over_either():
         nonparametric.Dependence("input, velocity", ("input", "velocity"), 0.47, 9.0, 0.4),
         nonparametric.Dependence("velocity, time", ("velocity", "time"), 0.45, 9.0, 0.4),
     )
-    terms = nonparametric.which_terms(replace(left(0.57, 1e-9, 0.4), dependences=seen))
-    assert terms == [Term(kind) for kind in ("time", "drag", "input", "velocity")]
+    terms = nonparametric.candidate_terms(replace(left(0.57, 1e-9, 0.4), dependences=seen))
+    assert terms == [CurveTerm(kind) for kind in ("time", "drag", "input", "velocity")]
 
 
 def test_verdicts():
     much, little, chance = left(0.6, 1e-9, 1.0), left(0.03, 1e-5, 0.1), left(0.3, 0.2, 0.4)
-    assert nonparametric.verdict(False, little, little) == "nothing_missing"
-    assert nonparametric.verdict(False, chance, chance) == "nothing_missing"
-    assert nonparametric.verdict(True, much, little) == "explained"
-    assert nonparametric.verdict(True, much, left(0.3, 1e-9, 0.3)) == "partly_explained"
-    assert nonparametric.verdict(True, much, left(0.5, 1e-9, 0.9)) == "unexplained"
-    assert nonparametric.verdict(False, much, much) == "unexplained"
+    assert nonparametric.verdict_of_dependence(False, little, little) == "nothing_missing"
+    assert nonparametric.verdict_of_dependence(False, chance, chance) == "nothing_missing"
+    assert nonparametric.verdict_of_dependence(True, much, little) == "explained"
+    assert nonparametric.verdict_of_dependence(True, much, left(0.3, 1e-9, 0.3)) == "partly_explained"
+    assert nonparametric.verdict_of_dependence(True, much, left(0.5, 1e-9, 0.9)) == "unexplained"
+    assert nonparametric.verdict_of_dependence(False, much, much) == "unexplained"
 
 
 def test_unknown_kind_is_refused():
     with pytest.raises(ValueError, match="no term over"):
-        Term("moonlight")
+        CurveTerm("moonlight")
 
 
 @pytest.mark.parametrize(
     ("key", "term", "over", "name", "size"),
     [
-        ("gain", Term("gain"), "input", "unknown_gain_sin_1", 0.2),
-        ("push", Term("push", 3.0), "input", "unknown_push_forward_cos_1", 4.0),
-        ("crank", Term("inertia"), "acceleration", "unknown_inertia_sin_1", 0.2),
+        ("gain", CurveTerm("gain"), "input", "unknown_gain_sin_1", 0.2),
+        ("push", CurveTerm("push", 3.0), "input", "unknown_push_forward_cos_1", 4.0),
+        ("crank", CurveTerm("inertia"), "acceleration", "unknown_inertia_sin_1", 0.2),
     ],
 )
 def test_what_multiplies_the_command_or_the_acceleration_is_found_and_drawn(key, term, over, name, size):
     case, base = fitted(key)
-    before = nonparametric.leftover(case, base.structure, base.values)
-    assert nonparametric.is_left(before)
+    before = nonparametric.remaining_dependence(case, base.structure, base.values)
+    assert nonparametric.is_dependence_left(before)
     assert before.variables == ("position", over)
-    assert term in nonparametric.which_terms(before)
+    assert term in nonparametric.candidate_terms(before)
     found = with_curve([case], base, term)
     assert found.values[name] == pytest.approx(size, rel=0.1)
     nothing = set(found.free) - {name, *base.free}
     others = [found.values[n] for n in nothing]
     assert max(abs(v) for v in others) < 0.2 * size
     assert found.deviance < min(
-        with_curve([case], base, other).deviance for other in (Term("angle", term.order), Term("position"))
+        with_curve([case], base, other).deviance for other in (CurveTerm("angle", term.order), CurveTerm("position"))
     )
-    after = nonparametric.leftover(case, found.structure, found.values)
+    after = nonparametric.remaining_dependence(case, found.structure, found.values)
     assert after.size < 0.4 * before.size
 
 
@@ -691,7 +719,7 @@ def test_a_first_model_that_the_command_does_not_move_still_gets_a_term():
     """A fit without the right physics may end at a gain of zero, where a torque is no command."""
     rng = np.random.default_rng(5)
     means = {"input": rng.uniform(-50.0, 50.0, 400), "torque": rng.standard_normal(400)}
-    start, free = nonparametric._first_line(means, Term("input"), {"input_gain": 0.0})
+    start, free = nonparametric._initial_curve(means, CurveTerm("input"), {"input_gain": 0.0})
     assert free
     assert all(np.isfinite(value) for value in start.values())
 
@@ -701,48 +729,48 @@ def test_friction_that_gives_is_told_from_friction_that_holds():
     is, what gives becomes dry: it earns nothing and is not believed.
     """
     case, point = fitted("bend")
-    gives, holds = with_curve([case], point, Term("bend")), with_name(case, point, "coulomb_friction")
-    assert model_comparison.earns(holds, gives) and plausible([case], gives)
+    gives, holds = with_curve([case], point, CurveTerm("bend")), with_name(case, point, "coulomb_friction")
+    assert model_comparison.is_significant(holds, gives) and is_plausible([case], gives)
     assert gives.values == pytest.approx({**gives.values, **BENT}, rel=0.1)
     case, point = fitted("dry")
-    gives, holds = with_curve([case], point, Term("bend")), with_name(case, point, "coulomb_friction")
-    assert model_comparison.ahead(gives, holds) < 0.0 and not plausible([case], gives)
+    gives, holds = with_curve([case], point, CurveTerm("bend")), with_name(case, point, "coulomb_friction")
+    assert model_comparison.criterion_difference(gives, holds) < 0.0 and not is_plausible([case], gives)
 
 
 @pytest.mark.parametrize("which", ["liquid", "hanging"])
 def test_what_rides_on_the_link_is_told_from_a_joint_that_rings(which: str) -> None:
     case, point = fitted(which)
-    rides = with_curve([case], point, Term("swing"))
+    rides = with_curve([case], point, CurveTerm("swing"))
     errors = np.sqrt(np.diag(rides.robust_covariance))
     for name, true in {"liquid": LIQUID, "hanging": HANGING}[which].items():
         error = errors[rides.free.index(name)]
         assert abs(rides.values[name] - true) < 2.0 * error
         # A spring of 10 would swing once in two seconds.
         assert error < 0.2 * (true or 10.0)
-    assert plausible([case], rides)
+    assert is_plausible([case], rides)
     for name in ("motor_lag", "load_change", "joint_elasticity", "coulomb_friction"):
-        assert model_comparison.earns(with_name(case, point, name), rides)
+        assert model_comparison.is_significant(with_name(case, point, name), rides)
 
 
 def test_what_is_held_as_if_it_were_part_of_the_link_rides_on_nothing() -> None:
     case, point = fitted("nothing")
-    rides = with_curve([case], point, Term("swing"))
-    assert not model_comparison.earns(point, rides)
+    rides = with_curve([case], point, CurveTerm("swing"))
+    assert not model_comparison.is_significant(point, rides)
     for hold in ("unknown_swing_stiffness", "unknown_swing_damping"):
         firmly = {**rides.values, "unknown_swing_stiffness": 10.0, "unknown_swing_damping": 1.0}
-        assert plausible([case], replace(rides, values=firmly))
+        assert is_plausible([case], replace(rides, values=firmly))
         firmly[hold] = likelihood.bounds_of(hold)[1]
-        assert not plausible([case], replace(rides, values=firmly))
+        assert not is_plausible([case], replace(rides, values=firmly))
 
 
 def test_friction_that_gives_by_a_count_is_none():
     case, point = fitted("nothing")
     structure = STRUCTURE.with_("unknown_bend")
-    for give, right in ((2.0 * COUNT, False), (4.0 * COUNT, True), (0.5 * float(np.ptp(case.places)), False)):
+    for give, right in ((2.0 * COUNT, False), (4.0 * COUNT, True), (0.5 * float(np.ptp(case.positions)), False)):
         values = {**point.values, "unknown_bend_level": 1.0, "unknown_bend_give": give}
-        assert plausible([case], replace(point, structure=structure, values=values)) is right
+        assert is_plausible([case], replace(point, structure=structure, values=values)) is right
     # A finer encoder sees what every dry contact gives by.
     fine = replace(case, recording=replace(case.recording, resolution=0.01 * COUNT))
     for give, right in ((5e-4, False), (2e-3, True)):
         values = {**point.values, "unknown_bend_level": 1.0, "unknown_bend_give": give}
-        assert plausible([fine], replace(point, structure=structure, values=values)) is right
+        assert is_plausible([fine], replace(point, structure=structure, values=values)) is right

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.diagnosis import residual_torque, screening, selection_round
-from twin.diagnosis.plausibility import plausible
+from twin.diagnosis.plausibility import is_plausible
 from twin.effects.catalogue import CANDIDATES
 from twin.estimation import likelihood, local_optima, multistart, preparation
 from twin.io.recording import Recording
@@ -23,12 +23,12 @@ def lines(position, torque, effect: str, name: str, unit: str = "rad", pushed=No
     time = 0.002 * np.arange(len(torque))
     structure = Structure.of(["inertia", "viscous_friction", "dead_band"])
     duty = np.where(time % 1.0 < 0.5, 30.0, 0.0) if pushed is None else pushed
-    case = likelihood.prepare(Recording("made", time, duty, position, "%", unit, 1e-4), structure)
+    case = likelihood.prepare_recording(Recording("made", time, duty, position, "%", unit, 1e-4), structure)
     speed = np.gradient(position, time)
-    missing = residual_torque.Missing(time, torque, position, speed, np.gradient(speed, time), duty, 0.002)
+    missing = residual_torque.MissingTorque(time, torque, position, speed, np.gradient(speed, time), duty, 0.002)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(residual_torque, "missing_torque", lambda *args: missing)
-        tried = screening.grids([case], structure, preparation.completed(structure, {}))[effect]
+        tried = screening.trial_grids([case], structure, preparation.complete_values(structure, {}))[effect]
     return [row[name] for row in tried]
 
 
@@ -39,10 +39,10 @@ def test_every_candidate_is_tried_however_long_the_recording(monkeypatch, end: f
     time, structure = np.linspace(0.0, end, 2001), Structure.of(ids)
     wave = np.sin(20.0 * np.pi * time / end)
     recording = Recording("made", time, 30.0 * wave, 5.0 * wave, "%", "rad", 1e-4)
-    missing = residual_torque.Missing(time, wave, 5.0 * wave, wave, wave, 30.0 * wave, float(time[1]))
+    missing = residual_torque.MissingTorque(time, wave, 5.0 * wave, wave, wave, 30.0 * wave, float(time[1]))
     monkeypatch.setattr(residual_torque, "missing_torque", lambda *args: missing)
-    case = likelihood.prepare(recording, structure)
-    tried = screening.grids([case], structure, preparation.completed(structure, {}))
+    case = likelihood.prepare_recording(recording, structure)
+    tried = screening.trial_grids([case], structure, preparation.complete_values(structure, {}))
     assert set(tried) == set(CANDIDATES) and all(tried.values())
     times = [row["fade_time"] for row in tried["thermal_fade"]]
     assert all(1.0 <= t <= 3600.0 for t in times) and len(times) == len(set(times))
@@ -58,15 +58,17 @@ def test_what_depends_on_the_position_is_looked_for_along_the_way_where_a_speed_
     y, states = run(structure.with_("torque_ripple"), there | wave, time, duty)
     speed = states[:, 1]
     assert 40.0 < np.ptp(y) < 60.0 and np.ptp(speed) < 2.0
-    case = likelihood.prepare(Recording("made", time, duty, speed, "%", "rad/s", 1e-4), structure)
-    assert np.abs(case.places - (y - y[0])).max() < 0.01 * np.ptp(y)
-    tried = screening.grids([case], structure, there)
+    case = likelihood.prepare_recording(Recording("made", time, duty, speed, "%", "rad/s", 1e-4), structure)
+    assert np.abs(case.positions - (y - y[0])).max() < 0.01 * np.ptp(y)
+    tried = screening.trial_grids([case], structure, there)
     assert min(abs(row["ripple_order"] - 10.0) for row in tried["torque_ripple"]) < 0.2
     for row in tried["end_stop"]:
         assert row["stop_upper"] > 0.9 * np.ptp(y) and row["stop_lower"] < 0.1 * np.ptp(y)
-    fitted = local_optima.settle([case], structure, there, {}, likelihood.density_of(case, local_optima.MEMORY))
-    longer = local_optima.settle([case], structure.with_("torque_ripple"), there | wave, {}, fitted.density)
-    assert plausible([case], longer)
+    fitted = local_optima.refit(
+        [case], structure, there, {}, likelihood.process_noise_of(case, local_optima.MIN_MEMORY)
+    )
+    longer = local_optima.refit([case], structure.with_("torque_ripple"), there | wave, {}, fitted.process_noise)
+    assert is_plausible([case], longer)
 
 
 def noisy(wave) -> np.ndarray:
@@ -152,12 +154,12 @@ def test_a_torque_is_looked_for_on_the_motor_and_on_the_link(effect, law, share)
     duty = steps(rng, len(time), 150, 40.0)
     shaken = duty + 0.1 * rng.standard_normal(len(time))
     made = recorded(structure.with_(effect), values | law | {"shaft_share": share}, time, duty, shaken, 16384.0)
-    cases = preparation.prepare([made], structure)
-    before = local_optima.settle(cases, structure, values, {}, likelihood.density_of(cases[0], 0.05))
-    trials = screening.grids(cases, structure, before.values)
-    (entry,) = screening.entries(cases, before, {effect: trials[effect]})
-    begun = screening.likeliest(cases, entry.structure, entry.places, before.density)
-    found = local_optima.settle(cases, entry.structure, begun, {}, before.density)
+    cases = preparation.prepare_recordings([made], structure)
+    before = local_optima.refit(cases, structure, values, {}, likelihood.process_noise_of(cases[0], 0.05))
+    trials = screening.trial_grids(cases, structure, before.values)
+    (entry,) = screening.score_candidates(cases, before, {effect: trials[effect]})
+    begun = screening.most_likely_values(cases, entry.structure, entry.places, before.process_noise)
+    found = local_optima.refit(cases, entry.structure, begun, {}, before.process_noise)
     assert found.values["shaft_share"] == pytest.approx(share, abs=0.15)
     name, size = next(iter(law.items()))
     assert found.values[name] == pytest.approx(size, rel=0.1)
@@ -177,12 +179,12 @@ def test_a_torque_that_dead_bands_had_taken_over_is_found_on_its_own_side_of_the
     duty = 40.0 * np.sin(2.0 * np.pi * (0.2 + 0.2 * time) * time)
     shaken = duty + 0.1 * np.random.default_rng(0).standard_normal(len(time))
     made = recorded(structure.with_("constant_offset"), values | law, time, duty, shaken, 10000.0)
-    cases = preparation.prepare([made], structure)
-    before = local_optima.settle(cases, structure, values, {}, likelihood.density_of(cases[0], 0.1))
-    trials = screening.grids(cases, before.structure, before.values)["constant_offset"]
-    (entry,) = screening.entries(cases, before, {"constant_offset": trials})
-    begun = screening.likeliest(cases, entry.structure, entry.places, before.density)
-    found = local_optima.settle(cases, entry.structure, begun, {}, before.density)
+    cases = preparation.prepare_recordings([made], structure)
+    before = local_optima.refit(cases, structure, values, {}, likelihood.process_noise_of(cases[0], 0.1))
+    trials = screening.trial_grids(cases, before.structure, before.values)["constant_offset"]
+    (entry,) = screening.score_candidates(cases, before, {"constant_offset": trials})
+    begun = screening.most_likely_values(cases, entry.structure, entry.places, before.process_noise)
+    found = local_optima.refit(cases, entry.structure, begun, {}, before.process_noise)
     assert found.values["shaft_share"] == pytest.approx(share, abs=0.1)
     assert found.values["offset"] == pytest.approx(law["offset"], rel=0.1)
 
@@ -198,22 +200,24 @@ def test_what_many_promise_in_shared_runs_is_what_each_does_in_its_own(monkeypat
     duty = 40.0 * np.sin(2.0 * np.pi * (0.2 + 0.1 * time) * time)
     law = {"coulomb_friction": 0.4, "dry_share": 0.5, "gravity_gain": 0.5, "gravity_angle": 0.3}
     made = recorded(structure.with_("coulomb_friction", "gravity"), values | law, time, duty, duty, 40000.0)
-    cases = preparation.prepare([made], structure)
-    before = local_optima.settle(cases, structure, values, {}, likelihood.density_of(cases[0], 0.1))
-    rows = screening.grids(cases, before.structure, before.values)
-    rows = {e: tried for e, tried in rows.items() if e not in screening.DIRECT}
+    cases = preparation.prepare_recordings([made], structure)
+    before = local_optima.refit(cases, structure, values, {}, likelihood.process_noise_of(cases[0], 0.1))
+    rows = screening.trial_grids(cases, before.structure, before.values)
+    rows = {e: tried for e, tried in rows.items() if e not in screening.WITHOUT_SCORE_TEST}
     runs = []
     run = likelihood.evaluate
     monkeypatch.setattr(likelihood, "evaluate", lambda *given: runs.append(given) or run(*given))
-    together = {e.effect: e.promise for e in screening.entries(cases, before, rows)}
+    together = {e.effect: e.promised_gain for e in screening.score_candidates(cases, before, rows)}
     shared = len(runs)
     alone = {}
     for effect, tried in rows.items():
-        alone[effect] = max(screening.entries(cases, before, {effect: [row]})[0].promise for row in tried)
+        alone[effect] = max(
+            screening.score_candidates(cases, before, {effect: [row]})[0].promised_gain for row in tried
+        )
     assert len(together) == len(rows) and shared < 0.5 * (len(runs) - shared)
     # An impact that comes an instant earlier is worth a unit either way.
-    assert max(together.values()) > 9.0 * before.unit
-    assert together == pytest.approx(alone, rel=0.05, abs=2.0 * before.unit)
+    assert max(together.values()) > 9.0 * before.overdispersion
+    assert together == pytest.approx(alone, rel=0.05, abs=2.0 * before.overdispersion)
 
 
 def test_a_side_of_the_gap_that_is_known_is_not_asked_again() -> None:
@@ -221,10 +225,10 @@ def test_a_side_of_the_gap_that_is_known_is_not_asked_again() -> None:
     time = 0.002 * np.arange(2000)
     duty = 30.0 * np.sin(time)
     made = recorded(structure, {"input_gain": 0.4, "viscous_friction": 2.0}, time, duty, duty, 4096.0)
-    cases = preparation.prepare([made], structure)
+    cases = preparation.prepare_recordings([made], structure)
     open_, known = structure.with_("gravity"), structure.with_("torque_ripple", "coulomb_friction")
     for base, sides in ((open_, 2), (known, 1)):
-        rows = screening.grids(cases, base, preparation.completed(base, {}))
+        rows = screening.trial_grids(cases, base, preparation.complete_values(base, {}))
         assert len(rows["constant_offset"]) == len(rows["friction_asymmetry"]) == sides
         assert len(rows["spring"]) == 1, "a spring pulls at the link"
 
@@ -237,14 +241,14 @@ def test_a_fade_is_measured_by_the_current_that_a_turning_motor_draws() -> None:
     values = {"input_gain": 0.4, "viscous_friction": rate}
     _, states = run(Structure.of(["inertia", "viscous_friction"]), values, time, command)
     speed, nothing = states[:, 1], np.zeros(len(time))
-    missing = residual_torque.Missing(time, nothing, states[:, 0], speed, nothing, command, 0.002)
+    missing = residual_torque.MissingTorque(time, nothing, states[:, 0], speed, nothing, command, 0.002)
     # The mean of (0.2 + 1.6 exp(-rate t))^2 over half a period.
     squared = 0.04 + (2.0 * 0.2 * 1.6 / rate + 1.6**2 / (2.0 * rate)) / half
-    assert screening._heating(missing, values, 40.0) == pytest.approx(40.0 * np.sqrt(squared), rel=0.05)
+    assert screening._heating_command(missing, values, 40.0) == pytest.approx(40.0 * np.sqrt(squared), rel=0.05)
     # One that is held draws all that its command asks for; of a model that nothing moves no more is known.
-    held = residual_torque.Missing(time, nothing, nothing, nothing, nothing, command, 0.002)
+    held = residual_torque.MissingTorque(time, nothing, nothing, nothing, nothing, command, 0.002)
     for gain in (0.4, 0.0):
-        assert screening._heating(held, values | {"input_gain": gain}, 40.0) == pytest.approx(40.0)
+        assert screening._heating_command(held, values | {"input_gain": gain}, 40.0) == pytest.approx(40.0)
 
 
 @pytest.mark.parametrize("seed", [3, 4])
@@ -262,11 +266,13 @@ def test_a_strong_ripple_is_found_from_where_it_follows_what_is_missing(seed) ->
     duty = 30.0 * np.sin(np.outer(time, rates) + phases).sum(axis=1)
     shaken = duty + 0.3 * rng.standard_normal(len(time))
     made = recorded(
-        preparation.with_teeth(structure).with_("torque_ripple"), values | ripple, time, duty, shaken, 4096.0
+        preparation.with_tooth_compliance(structure).with_("torque_ripple"), values | ripple, time, duty, shaken, 4096.0
     )
-    cases, rough = multistart.start([made], structure, {})
-    before = local_optima.settle(cases, structure, values | rough[0].values, {}, likelihood.density_of(cases[0], 0.1))
-    found = min(selection_round._following(cases, before, ["torque_ripple"], {}), key=lambda h: h.deviance)
+    cases, rough = multistart.coarse_starts([made], structure, {})
+    before = local_optima.refit(
+        cases, structure, values | rough[0].values, {}, likelihood.process_noise_of(cases[0], 0.1)
+    )
+    found = min(selection_round._fit_followers(cases, before, ["torque_ripple"], {}), key=lambda h: h.deviance)
     assert found.point.values["ripple_order"] == pytest.approx(19.0, abs=0.1)
     assert found.point.values["ripple_torque"] == pytest.approx(26.0, rel=0.1)
 
@@ -284,13 +290,15 @@ def test_a_lag_is_looked_for_ahead_of_the_dead_band_and_behind_it(share) -> None
     duty = steps(rng, len(time), 150, 45.0)
     lag = {"lag_time": 0.05, "lag_dead_band": share}
     shaken = duty + 0.1 * rng.standard_normal(len(time))
-    made = recorded(preparation.with_teeth(structure).with_("motor_lag"), values | lag, time, duty, shaken, 16384.0)
-    cases, rough = multistart.start([made], structure, {})
-    before = local_optima.settle(cases, structure, rough[0].values, {}, likelihood.density_of(cases[0], 0.1))
-    trials = screening.grids(cases, structure, before.values)["motor_lag"]
-    (entry,) = screening.entries(cases, before, {"motor_lag": trials})
-    begun = screening.likeliest(cases, entry.structure, entry.places, before.density)
-    found = local_optima.settle(cases, entry.structure, begun, {}, before.density)
+    made = recorded(
+        preparation.with_tooth_compliance(structure).with_("motor_lag"), values | lag, time, duty, shaken, 16384.0
+    )
+    cases, rough = multistart.coarse_starts([made], structure, {})
+    before = local_optima.refit(cases, structure, rough[0].values, {}, likelihood.process_noise_of(cases[0], 0.1))
+    trials = screening.trial_grids(cases, structure, before.values)["motor_lag"]
+    (entry,) = screening.score_candidates(cases, before, {"motor_lag": trials})
+    begun = screening.most_likely_values(cases, entry.structure, entry.places, before.process_noise)
+    found = local_optima.refit(cases, entry.structure, begun, {}, before.process_noise)
     assert found.values["lag_dead_band"] == share
     assert found.values["lag_time"] == pytest.approx(0.05, rel=0.03)
 
@@ -303,13 +311,13 @@ def test_a_candidate_moves_nothing_that_is_held() -> None:
     }  # fmt: skip
     time = 0.002 * np.arange(3000)
     duty = steps(np.random.default_rng(4), len(time), 200, 40.0)
-    y, _ = run(preparation.with_teeth(structure), values, time, duty)
-    cases = preparation.prepare([Recording("made", time, duty, y, "%", "rad", 1e-4)], structure)
+    y, _ = run(preparation.with_tooth_compliance(structure), values, time, duty)
+    cases = preparation.prepare_recordings([Recording("made", time, duty, y, "%", "rad", 1e-4)], structure)
     known = {n: values[n] for n in ("backlash_gap", "motor_share")}
-    before = local_optima.settle(cases, structure, values, known, likelihood.density_of(cases[0], 0.1))
-    trials = screening.grids(cases, before.structure, before.values)["joint_elasticity"]
+    before = local_optima.refit(cases, structure, values, known, likelihood.process_noise_of(cases[0], 0.1))
+    trials = screening.trial_grids(cases, before.structure, before.values)["joint_elasticity"]
     assert all(known.keys() <= row.keys() for row in trials)
-    (entry,) = screening.entries(cases, before, {"joint_elasticity": trials})
+    (entry,) = screening.score_candidates(cases, before, {"joint_elasticity": trials})
     assert all(known.items() <= place.items() for place in entry.places)
 
 
@@ -330,8 +338,8 @@ def test_a_start_is_looked_for_in_parts_of_a_long_recording_unless_it_lies_at_a_
     duty = 20.0 * np.sin(3.0 * time) + 40.0 * ((time > 6.0) & (time < 8.0)) - 40.0 * ((time > 9.0) & (time < 11.0))
     y, _ = run(structure.with_(effect), values | law, time, duty)
     made = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
-    cases = [likelihood.prepare(made, structure)]
-    before = local_optima.settle(cases, structure, values, {}, likelihood.density_of(cases[0], 0.1))
+    cases = [likelihood.prepare_recording(made, structure)]
+    before = local_optima.refit(cases, structure, values, {}, likelihood.process_noise_of(cases[0], 0.1))
     read, evaluate = [], likelihood.evaluate
 
     def looked(seen, *rest):
@@ -339,10 +347,10 @@ def test_a_start_is_looked_for_in_parts_of_a_long_recording_unless_it_lies_at_a_
         return evaluate(seen, *rest)
 
     monkeypatch.setattr(likelihood, "evaluate", looked)
-    trials = screening.grids(cases, structure, before.values)[effect]
-    (entry,) = screening.entries(cases, before, {effect: trials})
+    trials = screening.trial_grids(cases, structure, before.values)[effect]
+    (entry,) = screening.score_candidates(cases, before, {effect: trials})
     assert (np.mean(read) < 0.5 * len(time)) == parts
-    found = local_optima.settle(cases, entry.structure, entry.places[0], {}, before.density)
+    found = local_optima.refit(cases, entry.structure, entry.places[0], {}, before.process_noise)
     name, size = next(iter(law.items()))
     assert found.values[name] == pytest.approx(size, rel=0.02)
-    assert entry.promise > 0.8 * (before.deviance - found.deviance)
+    assert entry.promised_gain > 0.8 * (before.deviance - found.deviance)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twin.diagnosis import residual_torque, torque_regression
 from twin.effects.catalogue import BASE, CANDIDATES
 from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Point
+from twin.estimation.likelihood import Fit
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -56,19 +56,21 @@ LAWS: dict[str, tuple[Callable[[], Array], dict[str, float]]] = {
 def asked(question, torque: Array, seed: int = 0, **values: float):
     """What a question to case and base says where this torque (N,) is missing beside noise of a tenth of its size."""
     noise = 0.1 * float(np.std(torque)) * np.random.default_rng(seed).standard_normal(len(TIME))
-    missing = residual_torque.Missing(TIME, torque + noise, PLACE, SPEED, np.gradient(SPEED, TIME), COMMAND, 0.002)
+    missing = residual_torque.MissingTorque(
+        TIME, torque + noise, PLACE, SPEED, np.gradient(SPEED, TIME), COMMAND, 0.002
+    )
     structure = Structure.of(BASE)
-    case = likelihood.prepare(Recording("made", TIME, COMMAND, PLACE, "%", "rad", 1e-4), structure)
+    case = likelihood.prepare_recording(Recording("made", TIME, COMMAND, PLACE, "%", "rad", 1e-4), structure)
     free, none = preparation.free_parameters(structure), np.zeros((0, 0))
-    known = preparation.completed(structure, {**BEFORE, **values})
-    base = Point(structure, known, likelihood.density_of(case, 0.1), free, 0.0, 1.0, none, np.zeros(0), none)
+    known = preparation.complete_values(structure, {**BEFORE, **values})
+    base = Fit(structure, known, likelihood.process_noise_of(case, 0.1), free, 0.0, 1.0, none, np.zeros(0), none)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(residual_torque, "missing_torque", lambda *args: missing)
         return question([case], base)
 
 
-def found(torque: Array, seed: int = 0) -> list[torque_regression.Follower]:
-    return asked(lambda cases, base: torque_regression.followers(cases, base, CANDIDATES), torque, seed)
+def found(torque: Array, seed: int = 0) -> list[torque_regression.TorqueFollower]:
+    return asked(lambda cases, base: torque_regression.ranked_by_torque(cases, base, CANDIDATES), torque, seed)
 
 
 @pytest.mark.parametrize("effect", LAWS)
@@ -124,7 +126,7 @@ def test_noise_and_an_axis_at_rest_are_followed_by_nothing(monkeypatch):
 
 def levels(forward: float, reverse: float) -> list[dict[str, float]]:
     return asked(
-        lambda cases, base: torque_regression.levelled(base, CANDIDATES), COMMAND,
+        lambda cases, base: torque_regression.offset_starts(base, CANDIDATES), COMMAND,
         dead_band_forward=forward, dead_band_reverse=reverse,
     )  # fmt: skip
 
@@ -151,7 +153,9 @@ def test_a_drive_that_a_fit_took_for_none_is_seen_where_the_axis_moves_freely():
     """Where it is held, by stops at both ends here, a torque of any size is missing."""
     pushes = np.where(COMMAND > 0.0, 0.4 * np.maximum(COMMAND - 5.0, 0.0), 0.4 * np.minimum(COMMAND + 4.0, 0.0))
     held = np.where(np.abs(PLACE) > 0.97 * np.abs(PLACE).max(), -30.0 * np.sign(PLACE), 0.0)
-    free = asked(torque_regression.freed, pushes - 2.0 * SPEED + held, input_gain=0.001, viscous_friction=0.001)
+    free = asked(
+        torque_regression.fit_to_free_motion, pushes - 2.0 * SPEED + held, input_gain=0.001, viscous_friction=0.001
+    )
     assert free.values["input_gain"] == pytest.approx(0.4, rel=0.1)
     assert free.values["viscous_friction"] == pytest.approx(2.0, rel=0.15)
     assert free.free == preparation.free_parameters(free.structure)
@@ -159,13 +163,15 @@ def test_a_drive_that_a_fit_took_for_none_is_seen_where_the_axis_moves_freely():
 
 def test_a_drive_that_does_nothing_at_all_is_freed_too():
     pushes = 0.4 * COMMAND
-    free = asked(torque_regression.freed, pushes, input_gain=0.0, dead_band_forward=0.0, dead_band_reverse=0.0)
+    free = asked(
+        torque_regression.fit_to_free_motion, pushes, input_gain=0.0, dead_band_forward=0.0, dead_band_reverse=0.0
+    )
     assert free.values["input_gain"] == pytest.approx(0.4, rel=0.1)
-    assert asked(torque_regression.freed, -pushes, input_gain=0.0) is None, "no drive pushes backwards"
+    assert asked(torque_regression.fit_to_free_motion, -pushes, input_gain=0.0) is None, "no drive pushes backwards"
     assert all(np.isfinite(v) for f in found(-pushes) for p in f.places for v in p.values())
 
 
 @settings(max_examples=15, deadline=None)
 @given(gain=st.floats(-0.1, 0.4), constant=st.floats(-1.0, 1.0), seed=st.integers(0, 99))
 def test_a_base_that_is_about_right_is_left_as_it_is(gain, constant, seed):
-    assert asked(torque_regression.freed, gain * COMMAND + constant, seed) is None
+    assert asked(torque_regression.fit_to_free_motion, gain * COMMAND + constant, seed) is None

@@ -11,6 +11,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from twin.diagnosis import thresholds
+
 pytest.importorskip("mujoco", reason="the recordings' generator needs the extra 'mujoco'")
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
@@ -19,12 +21,12 @@ from example_diagnosis import RIG, example
 from mujoco_rig import TURN, draw_rig, simulate
 
 from twin.diagnosis import diagnose, forward_selection, model_comparison, result
-from twin.diagnosis.forward_selection import Search, Swap
-from twin.diagnosis.model_comparison import UNSURE
+from twin.diagnosis.forward_selection import Alternative, SearchResult
 from twin.diagnosis.result import Diagnosis, Fitness
 from twin.diagnosis.selection_round import Hypothesis, Round
+from twin.diagnosis.thresholds import UNDECIDED_MARGIN
 from twin.estimation import likelihood, local_optima, maximum_likelihood
-from twin.estimation.likelihood import Point
+from twin.estimation.likelihood import Fit
 from twin.io.recording import Recording
 from twin.model.stepper import BASE, Structure
 from twin.report import html, wording
@@ -76,32 +78,32 @@ def test_what_the_recording_cannot_separate_is_shown_as_two(effect, rival, seed,
     assert "cannot tell which" in said and all(wording.title(i) in said for i in pair.ids)
 
 
-def point(criterion: float, *effects: str) -> Point:
+def point(criterion: float, *effects: str) -> Fit:
     structure = Structure.of([*BASE, *effects])
     nothing = np.zeros((0, 0))
-    return Point(structure, {}, 1.0, (), criterion, 1.0, nothing, np.zeros(0), nothing)
+    return Fit(structure, {}, 1.0, (), criterion, 1.0, nothing, np.zeros(0), nothing)
 
 
-def searched(gap: float, *also: str) -> Search:
+def searched(gap: float, *also: str) -> SearchResult:
     """A search that chose gravity and found a spring `gap` units of the criterion behind, `also` known before."""
     before, one = point(3000.0, *also), point(1000.0, *also, "gravity")
     two = point(1000.0 + gap, *also, "spring")
     more = point(1000.0 + 1.0, *also, "gravity", "coulomb_friction")
     rivals = (Hypothesis(("gravity",), one), Hypothesis(("coulomb_friction",), more), Hypothesis(("spring",), two))
-    swaps = (Swap("gravity", "spring", two),) if gap < UNSURE else ()
-    return Search(before, one, (Round(before, rivals, 1.0),), (), (point(3000.0, *also),), swaps)
+    swaps = (Alternative("gravity", "spring", two),) if gap < UNDECIDED_MARGIN else ()
+    return SearchResult(before, one, (Round(before, rivals, 1.0),), (), (point(3000.0, *also),), swaps)
 
 
 @pytest.mark.parametrize("also", [(), ("motor_lag",)])
 def test_a_rival_takes_its_share_and_a_larger_model_none(also):
     even = diagnose._probabilities(searched(0.0, *also))[0]
-    known = 1.0 - model_comparison.OTHER
+    known = 1.0 - thresholds.PROB_NONE_OF_THESE
     assert even["gravity"] == pytest.approx(0.5 * known)
-    odds = diagnose._probabilities(searched(2.0 * model_comparison.TEMPER * np.log(4.0), *also))[0]
+    odds = diagnose._probabilities(searched(2.0 * thresholds.TEMPERATURE * np.log(4.0), *also))[0]
     assert odds["gravity"] == pytest.approx(0.8 * known)
     assert diagnose._probabilities(searched(1500.0, *also))[0]["gravity"] == pytest.approx(known)
     assert diagnose._undecided(searched(1500.0, *also)) == ()
-    (pair,) = diagnose._undecided(searched(0.5 * UNSURE, *also))
+    (pair,) = diagnose._undecided(searched(0.5 * UNDECIDED_MARGIN, *also))
     assert pair.ids == ("gravity", "spring") and sum(pair.probabilities) == pytest.approx(known)
 
 
@@ -110,7 +112,7 @@ def test_what_the_first_model_has_is_no_rival_to_what_is_missing():
     ranking = dict(diagnose._probabilities(searched(0.0, "motor_lag"))[1])
     assert set(ranking) == {"gravity", "spring", "coulomb_friction"} and ranking["coulomb_friction"] == 0.0
     before, tried = point(1000.0, "motor_lag"), point(995.0, "motor_lag", "spring")
-    nothing = Search(before, before, (Round(before, (Hypothesis(("spring",), tried),), 1.0, False),), ())
+    nothing = SearchResult(before, before, (Round(before, (Hypothesis(("spring",), tried),), 1.0, False),), ())
     ((effect, probability),) = diagnose._probabilities(nothing)[1]
     assert effect == "spring" and 0.4 < probability < 0.7
 
@@ -119,32 +121,44 @@ def test_a_curve_in_the_place_of_a_name_takes_its_place_in_the_ranking():
     won = searched(1500.0)
     assert dict(diagnose._probabilities(won)[1])["gravity"] > 0.9
     curve = point(100.0, "unknown_position")
-    drawn = Search(won.first, curve, won.rounds, ())
+    drawn = SearchResult(won.first, curve, won.rounds, ())
     assert dict(diagnose._probabilities(drawn)[1])["gravity"] < 0.01
 
 
 def test_what_one_name_explains_about_as_well_as_two_is_the_one():
     """While it slides, friction that is larger one way is friction and a constant torque."""
     two, one = point(1000.0, "coulomb_friction", "constant_offset"), point(1000.0, "friction_asymmetry")
-    assert model_comparison.behind(one, two) == -UNSURE == -model_comparison.behind(two, one)
-    clear = point(1000.0 + 2.0 * UNSURE, "friction_asymmetry")
-    assert model_comparison.behind(clear, two) == UNSURE == -model_comparison.behind(two, clear)
+    assert (
+        model_comparison.criterion_difference_penalised(one, two)
+        == -UNDECIDED_MARGIN
+        == -model_comparison.criterion_difference_penalised(two, one)
+    )
+    clear = point(1000.0 + 2.0 * UNDECIDED_MARGIN, "friction_asymmetry")
+    assert (
+        model_comparison.criterion_difference_penalised(clear, two)
+        == UNDECIDED_MARGIN
+        == -model_comparison.criterion_difference_penalised(two, clear)
+    )
     # Each other exchange is one name for one.
-    assert model_comparison.behind(point(1005.0, "gravity"), point(1000.0, "spring")) == 5.0
-    found = Search(point(9000.0), one, (), (), (point(9000.0),), (Swap("friction_asymmetry", "constant_offset", two),))
-    given = diagnose._probabilities(found)[0]["friction_asymmetry"] / (1.0 - model_comparison.OTHER)
-    assert given == pytest.approx(1.0 / (1.0 + np.exp(-UNSURE / (2.0 * model_comparison.TEMPER))))
+    assert model_comparison.criterion_difference_penalised(point(1005.0, "gravity"), point(1000.0, "spring")) == 5.0
+    found = SearchResult(
+        point(9000.0), one, (), (), (point(9000.0),), (Alternative("friction_asymmetry", "constant_offset", two),)
+    )
+    given = diagnose._probabilities(found)[0]["friction_asymmetry"] / (1.0 - thresholds.PROB_NONE_OF_THESE)
+    assert given == pytest.approx(1.0 / (1.0 + np.exp(-UNDECIDED_MARGIN / (2.0 * thresholds.TEMPERATURE))))
 
 
 def test_the_experiment_is_for_the_likeliest_rival_and_not_for_one_name_more(monkeypatch):
     last, rival = point(1000.0, "motor_lag"), point(1010.0, "input_delay")
     torque = point(1003.0, "motor_lag", "constant_offset")
-    swaps = (Swap("dead_band", "constant_offset", torque), Swap("motor_lag", "input_delay", rival))
+    swaps = (Alternative("dead_band", "constant_offset", torque), Alternative("motor_lag", "input_delay", rival))
     asked = []
-    monkeypatch.setattr(diagnose.preparation, "with_steps", lambda cases, structure: cases)
-    monkeypatch.setattr(diagnose.experiment_design, "separate", lambda points, cases: asked.append(points))
-    diagnose._next(Search(point(3000.0), last, (), (), (), swaps))
-    diagnose._next(Search(point(3000.0), last, (), (), (), swaps[:1]))
+    monkeypatch.setattr(diagnose.preparation, "with_internal_step", lambda cases, structure: cases)
+    monkeypatch.setattr(
+        diagnose.experiment_design, "design_for_discrimination", lambda points, cases: asked.append(points)
+    )
+    diagnose._next_experiment(SearchResult(point(3000.0), last, (), (), (), swaps))
+    diagnose._next_experiment(SearchResult(point(3000.0), last, (), (), (), swaps[:1]))
     assert asked == [[last, rival], [last, torque]]
 
 
@@ -163,7 +177,7 @@ def test_an_effect_that_came_along_with_another_stands_for_itself():
     tried = {"position_dependent_friction": 1000.0, "load_dependent_friction": 1020.0, "coulomb_friction": 1030.0}
     before, rivals = point(3000.0), tuple(Hypothesis((e,), point(c, e)) for e, c in tried.items())
     last = Structure.of([*BASE, "coulomb_friction"])
-    contest = forward_selection.contest_of([Round(before, rivals, 1.0)], last, "coulomb_friction")
+    contest = forward_selection.round_margin([Round(before, rivals, 1.0)], last, "coulomb_friction")
     assert contest.gain == 1970.0
     assert [(h.added, behind) for h, behind in contest.rivals] == [(("load_dependent_friction",), -10.0)]
 
@@ -172,7 +186,7 @@ def test_what_looked_better_than_the_winner_and_did_not_show_is_no_rival():
     tried = {"spring": 1000.0, "load_change": 900.0, "gravity": 1010.0}
     before, rivals = point(3000.0), tuple(Hypothesis((e,), point(c, e)) for e, c in tried.items())
     this = Round(before, rivals, 1.0, refused=frozenset({"load_change"}))
-    contest = forward_selection.contest_of([this], Structure.of([*BASE, "spring"]), "spring")
+    contest = forward_selection.round_margin([this], Structure.of([*BASE, "spring"]), "spring")
     assert [h.added for h, _ in contest.rivals] == [("gravity",)]
 
 
@@ -182,7 +196,7 @@ def test_a_round_that_nothing_won_says_nothing_of_what_later_took_a_place():
     later = (("gravity", 990.0), ("motor_lag", 999.0))
     others = tuple(Hypothesis((e,), point(c, "joint_elasticity", e)) for e, c in later)
     rounds = [Round(point(3000.0), first, 1.0), Round(joint, others, 1.0, won=False)]
-    contest = forward_selection.contest_of(rounds, Structure.of([*BASE, "motor_lag"]), "motor_lag")
+    contest = forward_selection.round_margin(rounds, Structure.of([*BASE, "motor_lag"]), "motor_lag")
     assert [(h.added, behind) for h, behind in contest.rivals] == [(("input_delay",), -4.0)]
 
 
@@ -193,18 +207,18 @@ def test_a_rival_takes_the_place_only_of_what_it_shows_without(monkeypatch, reac
     close = Round(before, (Hypothesis(("spring",), last), Hypothesis(("gravity",), point(1010.0, "gravity"))), 1.0)
     asked = []
     monkeypatch.setattr(forward_selection, "plausible", lambda cases, p, before: True)
-    monkeypatch.setattr(local_optima, "settle", lambda cases, structure, values, held, density: rival)
-    monkeypatch.setattr(local_optima, "deepen", lambda cases, p, held: p)
+    monkeypatch.setattr(local_optima, "refit", lambda cases, structure, values, held, process_noise: rival)
+    monkeypatch.setattr(local_optima, "refit_through_best_noise", lambda cases, p, held: p)
     monkeypatch.setattr(
-        forward_selection.selection_round, "shows", lambda cases, without, p: asked.append(without) or shows
+        forward_selection.selection_round, "is_confirmed", lambda cases, without, p: asked.append(without) or shows
     )
-    swaps = forward_selection._swapped((), last, before.structure, [before], [close], {})
-    assert len(swaps) == kept and asked == ([before] if reached < 1000.0 + UNSURE else [])
+    swaps = forward_selection._alternatives((), last, before.structure, [before], [close], {})
+    assert len(swaps) == kept and asked == ([before] if reached < 1000.0 + UNDECIDED_MARGIN else [])
 
 
 def test_a_rattling_rig_is_said_to_hide_effects(monkeypatch):
     fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(0.05, 0.5, math.nan)}}
-    for rough, rattles in ((0.5 * model_comparison.LEAST, False), (2.0 * model_comparison.LEAST, True)):
+    for rough, rattles in ((0.5 * thresholds.MIN_GAIN, False), (2.0 * thresholds.MIN_GAIN, True)):
         monkeypatch.setattr(maximum_likelihood, "roughness", lambda cases, point, rough=rough: rough)
         said = diagnose._remarks(searched(500.0), fit)
         assert [s.startswith("The motor rattles in its gap") for s in said] == ([True] if rattles else [])
@@ -223,7 +237,7 @@ def test_what_is_followed_but_not_judged_is_said(monkeypatch):
     fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(0.05, 0.5, math.nan)}}
     monkeypatch.setattr(maximum_likelihood, "roughness", lambda cases, point: 0.0)
     hidden = {"calm": None, "loud": np.array([True, False, False, False])}
-    cases = [SimpleNamespace(recording=SimpleNamespace(name=n), rattling=h) for n, h in hidden.items()]
+    cases = [SimpleNamespace(recording=SimpleNamespace(name=n), rattle_mask=h) for n, h in hidden.items()]
     (said,) = diagnose._remarks(replace(searched(500.0), cases=tuple(cases)), fit)
     assert said.startswith("loud: in 25 % of what was fitted")
 
@@ -238,20 +252,20 @@ def test_while_an_axis_is_pushed_dead_bands_that_differ_may_be_a_constant_torque
     command = np.where(np.sin(4.0 * time) >= 0.0, 30.0, -25.0) * (1.0 + 0.5 * np.sin(0.9 * time))
     if coasts:
         command = np.where(np.mod(time, 2.0) > 1.0, 0.0, command)
-    drive = likelihood.prepare(Recording("", time, command, np.zeros(4000), "%", "rad", 1e-3), plain).drive
+    drive = likelihood.prepare_recording(Recording("", time, command, np.zeros(4000), "%", "rad", 1e-3), plain).drive
     moved = kernel.predict(drive, kernel.vector(plain, values), kernel.start_state(0.0, 0.0, 0.0)).reading
     noise = np.random.default_rng(7).normal(0.0, 1e-3, 4000)
-    cases = [likelihood.prepare(Recording("axis", time, command, moved + noise, "%", "rad", 1e-3), plain)]
-    density = likelihood.density_of(cases[0], 0.2)
-    last = likelihood.climb(cases, plain, values, density, tuple(values))
-    swaps = forward_selection._levelled(cases, last, offered)
+    cases = [likelihood.prepare_recording(Recording("axis", time, command, moved + noise, "%", "rad", 1e-3), plain)]
+    process_noise = likelihood.process_noise_of(cases[0], 0.2)
+    last = likelihood.levenberg_marquardt(cases, plain, values, process_noise, tuple(values))
+    swaps = forward_selection._offset_for_dead_bands(cases, last, offered)
     told = [("dead_band", "constant_offset")] if offered and not coasts else []
     assert [(w.effect, w.rival) for w in swaps] == told
     for swap in swaps:
         own = swap.point.values
         assert own["offset"] == pytest.approx(0.5 * 3.0 * 0.4, rel=0.1)
         assert [own["dead_band_forward"], own["dead_band_reverse"]] == pytest.approx([5.5, 5.5], rel=0.1)
-        found = Search(last, last, (), tuple(cases), (), (swap,))
+        found = SearchResult(last, last, (), tuple(cases), (), (swap,))
         (doubt,) = diagnose._undecided(found)
         assert doubt.ids == ("dead_band", "constant_offset") and doubt.probabilities[0] > doubt.probabilities[1] > 0.1
         assert "command" in doubt.experiment and diagnose._probabilities(found)[1] == (
@@ -259,7 +273,9 @@ def test_while_an_axis_is_pushed_dead_bands_that_differ_may_be_a_constant_torque
         )
     # What does not differ by more than is known needs no torque.
     even = dict.fromkeys(("dead_band_forward", "dead_band_reverse"), 5.0)
-    assert not forward_selection._levelled(cases, replace(last, values=last.values | even), ("constant_offset",))
+    assert not forward_selection._offset_for_dead_bands(
+        cases, replace(last, values=last.values | even), ("constant_offset",)
+    )
 
 
 def test_a_rival_in_a_lesser_valley_does_not_speak_for_what_contains_it() -> None:
@@ -267,8 +283,8 @@ def test_a_rival_in_a_lesser_valley_does_not_speak_for_what_contains_it() -> Non
     plain, wider = "coulomb_friction", "position_dependent_friction"
     winner = Hypothesis((wider,), point(1000.0, wider))
     this = Round(point(3000.0), (winner, Hypothesis((plain,), point(2500.0, plain))), 1.0)
-    assert forward_selection._overtook([this], plain, wider) == [winner.point]
-    bettered = forward_selection._bettered(this, point(1010.0, plain))
+    assert forward_selection._overtaking_fits([this], plain, wider) == [winner.point]
+    bettered = forward_selection._with_better_fit(this, point(1010.0, plain))
     assert [h.deviance for h in bettered.rivals] == [1000.0, 1010.0]
-    assert forward_selection._overtook([bettered], plain, wider) == []
-    assert forward_selection._bettered(this, point(2600.0, plain)).rivals == this.rivals
+    assert forward_selection._overtaking_fits([bettered], plain, wider) == []
+    assert forward_selection._with_better_fit(this, point(2600.0, plain)).rivals == this.rivals

@@ -20,23 +20,23 @@ from twin.model.stepper import Structure
 
 def test_held_is_what_a_model_has_without_a_standard_error() -> None:
     structure = Structure.of([*BASE, "end_stop"])
-    values = preparation.completed(structure, {"stop_lower": -1.5, "stop_upper": NOWHERE["stop_upper"]})
-    assert estimate.held_of(Model(structure, values)) == {}
+    values = preparation.complete_values(structure, {"stop_lower": -1.5, "stop_upper": NOWHERE["stop_upper"]})
+    assert estimate.held_parameters(Model(structure, values)) == {}
     free = tuple(
         n for n in preparation.free_parameters(structure) if n not in ("motor_share", "stop_lower", "stop_upper")
     )
     made = Model(structure, values, free, np.eye(len(free)))
     # A stop that nothing met stands nowhere; the next recording may meet it.
-    assert estimate.held_of(made) == {"motor_share": values["motor_share"], "stop_lower": -1.5}
+    assert estimate.held_parameters(made) == {"motor_share": values["motor_share"], "stop_lower": -1.5}
     noted = replace(made, notes={"motor_share": "not estimated: nothing reverses"})
-    assert estimate.held_of(noted) == {"stop_lower": -1.5}
+    assert estimate.held_parameters(noted) == {"stop_lower": -1.5}
 
 
 def test_what_the_two_stage_method_does_not_look_for_is_not_held() -> None:
     """A gap of nothing that is held would have to be explained by something else."""
     steady = TwoStage("speeds", 5.0, 5.0, 4.0, 2.0, 0.4, np.eye(len(NAMES)), (), (), "made", True)
     still = Recording("made", 0.002 * np.arange(9), np.arange(9.0), np.arange(9.0), "%", "rad", 1e-4)
-    assert estimate.held_of(two_stage.to_model(steady, [still])) == {}
+    assert estimate.held_parameters(two_stage.to_model(steady, [still])) == {}
 
 
 @pytest.mark.parametrize("horizon", [0.02, np.inf])
@@ -60,7 +60,7 @@ def test_where_the_inertia_is_known_torques_are_told(unit: str, known: str, says
     other = replace(still, known={"payload_mass": 0.02})
     assert recording.told_of(still) == {"inertia": 0.02} and recording.told_of(other) == {}
     structure = Structure.of([*BASE, "coulomb_friction"])
-    values = preparation.completed(structure, {"coulomb_friction": 3.0, "viscous_friction": 2.0})
+    values = preparation.complete_values(structure, {"coulomb_friction": 3.0, "viscous_friction": 2.0})
     made = Model(structure, values, axis_unit=unit, known=recording.told_of(still))
     assert f"({made.torque('coulomb_friction')})" == says
     assert made.torque("viscous_friction") == "" and replace(made, known={}).torque("coulomb_friction") == ""

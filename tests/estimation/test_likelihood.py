@@ -17,7 +17,7 @@ from scipy.special import huber
 from twin.effects.catalogue import BASE
 from twin.effects.end_stop import NOWHERE
 from twin.estimation import likelihood, maximum_likelihood, preparation
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 from twin.simulation import kernel
@@ -31,7 +31,7 @@ FREE = tuple(VALUES)
 COUNT = 2e-4
 
 
-def bounds(point: Point) -> np.ndarray:
+def bounds(point: Fit) -> np.ndarray:
     found = {p.name: (p.lower, p.upper) for p in STRUCTURE.parameters}
     return np.array([found[n] for n in point.free])
 
@@ -43,9 +43,9 @@ def test_a_step_is_the_best_one_within_the_bounds(seed: int) -> None:
     root = rng.standard_normal((12, 7)) / size
     wanted = size * rng.standard_normal(7) * 3.0
     normal = root.T @ root
-    point = Point(STRUCTURE, VALUES, 1.0, FREE, 0.0, 1.0, normal, normal @ wanted, normal)
+    point = Fit(STRUCTURE, VALUES, 1.0, FREE, 0.0, 1.0, normal, normal @ wanted, normal)
     here, limits = np.array(list(VALUES.values())), bounds(point)
-    moved = likelihood._moved(point, 0.0)
+    moved = likelihood._damped_step(point, 0.0)
     step = np.array([moved[n] for n in FREE]) - here
     assert likelihood.within_bounds(moved)
     best = lsq_linear(root, root @ wanted, (limits[:, 0] - here, limits[:, 1] - here), tol=1e-12).x
@@ -56,26 +56,26 @@ def test_a_step_is_the_best_one_within_the_bounds(seed: int) -> None:
     assert gain(step) > 0.95 * gain(best) > 0.0
 
 
-def made(correlated: float = 0.0, duration: float = 30.0, seed: int = 1) -> Case:
+def made(correlated: float = 0.0, duration: float = 30.0, seed: int = 1) -> PreparedRecording:
     """A square wave of several heights on the base model, read in counts; `correlated` counts of slow error."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(duration / 0.002)) * 0.002
     duty = np.repeat(rng.uniform(15.0, 60.0, len(time) // 250) * (-1.0) ** np.arange(len(time) // 250), 250)
     blank = Recording("made", time, duty, np.zeros(len(time)), "%", "rad", COUNT)
-    case = likelihood.prepare(blank, STRUCTURE)
+    case = likelihood.prepare_recording(blank, STRUCTURE)
     x = kernel.start_state(0.0, 0.0, 0.0)
     position = kernel.predict(case.drive, kernel.vector(STRUCTURE, VALUES), x).reading
     slow = np.convolve(rng.standard_normal(len(time) + 99), np.full(100, 0.1), "valid")
     read = position + COUNT * (rng.uniform(-0.5, 0.5, len(time)) + correlated * slow)
-    return likelihood.prepare(replace(blank, output=read), STRUCTURE)
+    return likelihood.prepare_recording(replace(blank, output=read), STRUCTURE)
 
 
 @pytest.mark.parametrize(("correlated", "least", "most"), [(0.0, 1.0, 1.6), (1.0, 2.0, 30.0)])
 def test_errors_that_hang_together_widen_the_standard_errors(correlated: float, least: float, most: float) -> None:
     case = made(correlated)
-    density = likelihood.density_of(case, 0.2)
-    point = likelihood.climb([case], STRUCTURE, VALUES, density, FREE)
-    wider = np.sqrt(np.diag(likelihood.robust_covariance([case], point)) / np.diag(point.covariance))
+    process_noise = likelihood.process_noise_of(case, 0.2)
+    point = likelihood.levenberg_marquardt([case], STRUCTURE, VALUES, process_noise, FREE)
+    wider = np.sqrt(np.diag(likelihood.jackknife_covariance([case], point)) / np.diag(point.covariance))
     assert least <= float(np.median(wider)) < most
 
 
@@ -88,28 +88,28 @@ def test_a_place_is_remembered_by_all_that_its_likelihood_comes_from() -> None:
         replace(case, contact=1.0),
         replace(case, start=(0.1, 0.0)),
         replace(case, reading_variance=2.0 * case.reading_variance),
-        replace(case, unforeseen=half),
-        replace(case, free=half),
-        replace(case, free=~half),
+        replace(case, contact_mask=half),
+        replace(case, free_run=half),
+        replace(case, free_run=~half),
         replace(case, drive=louder),
         replace(case, drive=replace(case.drive, longest=0.001)),
         replace(case, drive=replace(case.drive, measured=np.where(half, np.nan, case.drive.measured))),
     ]
-    assert len({c.mark for c in others}) == len(others)
-    assert replace(case, drive=replace(case.drive)).mark == case.mark
+    assert len({c.digest for c in others}) == len(others)
+    assert replace(case, drive=replace(case.drive)).digest == case.digest
     first = likelihood.evaluate([case], STRUCTURE, VALUES, 1e6, FREE)
-    for cases, values, density, free in (
+    for cases, values, process_noise, free in (
         ([others[4]], VALUES, 1e6, FREE),
         ([case, case], VALUES, 1e6, FREE),
         ([case], {**VALUES, "backlash_gap": 0.02}, 1e6, FREE),
         ([case], VALUES, 2e6, FREE),
         ([case], VALUES, 1e6, FREE[:3]),
     ):
-        found = likelihood.evaluate(cases, STRUCTURE, values, density, free)
-        results = [likelihood.innovations(c, STRUCTURE, values, density, free) for c in cases]
-        fresh = likelihood.weighed(cases, STRUCTURE, values, density, free, results)
+        found = likelihood.evaluate(cases, STRUCTURE, values, process_noise, free)
+        results = [likelihood.innovations(c, STRUCTURE, values, process_noise, free) for c in cases]
+        fresh = likelihood.fit_from_innovations(cases, STRUCTURE, values, process_noise, free, results)
         assert found.deviance == fresh.deviance != first.deviance or free != FREE
-        assert np.array_equal(found.normal, fresh.normal) and np.array_equal(found.gradient, fresh.gradient)
+        assert np.array_equal(found.information, fresh.information) and np.array_equal(found.gradient, fresh.gradient)
     again = likelihood.evaluate([replace(case)], STRUCTURE, dict(reversed(VALUES.items())), 1e6, FREE)
     assert again is first
 
@@ -119,19 +119,19 @@ def test_what_stretches_say_is_the_sum_of_what_their_readings_say() -> None:
     case.drive.measured[[300, 2200]] += 30.0 * COUNT
     blank, weight = np.zeros(len(case.drive.time), dtype=bool), np.zeros(len(case.drive.time))
     blank[600:1100] = True  # more than a stretch
-    case = replace(case, unforeseen=blank)
+    case = replace(case, contact_mask=blank)
     point = likelihood.evaluate([case], STRUCTURE, VALUES, 1.0, FREE)
     run = likelihood.innovations(case, STRUCTURE, VALUES, 1.0, FREE)
     z = run.error / np.sqrt(run.variance * point.scale)
-    assert np.count_nonzero(np.abs(z) > likelihood.ROBUST_LIMIT) > 0 and np.isnan(z[800])
-    weight[~blank] = np.minimum(1.0, likelihood.ROBUST_LIMIT / np.maximum(np.abs(z[~blank]), 1e-9))
+    assert np.count_nonzero(np.abs(z) > likelihood.HUBER_LIMIT) > 0 and np.isnan(z[800])
+    weight[~blank] = np.minimum(1.0, likelihood.HUBER_LIMIT / np.maximum(np.abs(z[~blank]), 1e-9))
     per = weight / (run.variance * point.scale)
     pulls = run.slopes * (per * np.where(blank, 0.0, run.error))[:, None]
     each = [pulls[i : i + 250].sum(axis=0) for i in range(0, 2500, 250) if not blank[i : i + 250].all()]
     assert len(each) == 9
     np.testing.assert_allclose(point.gradient, pulls.sum(axis=0), rtol=1e-9, atol=1e-12 * np.abs(pulls).sum())
-    np.testing.assert_allclose(point.normal, run.slopes.T @ (per[:, None] * run.slopes), rtol=1e-9, atol=1e-9)
-    by_stretch, _ = likelihood._by_stretch([case], STRUCTURE, VALUES, 1.0, FREE, point.scale, None, 0.5)
+    np.testing.assert_allclose(point.information, run.slopes.T @ (per[:, None] * run.slopes), rtol=1e-9, atol=1e-9)
+    by_stretch, _ = likelihood._scores_by_block([case], STRUCTURE, VALUES, 1.0, FREE, point.scale, None, 0.5)
     np.testing.assert_allclose(by_stretch, each, rtol=1e-7, atol=1e-9 * np.abs(pulls).sum())
 
 
@@ -140,20 +140,20 @@ def test_slow_errors_are_seen_where_little_is_judged_too() -> None:
     whole = made(1.0, duration=12.0)
     late = np.arange(len(whole.drive.time)) >= 2000
     units = []
-    for case in (whole, replace(whole, rattling=late)):
-        point = likelihood.climb([case], STRUCTURE, VALUES, likelihood.density_of(case, 0.2), FREE)
-        units.append(point.unit)
+    for case in (whole, replace(whole, rattle_mask=late)):
+        point = likelihood.levenberg_marquardt([case], STRUCTURE, VALUES, likelihood.process_noise_of(case, 0.2), FREE)
+        units.append(point.overdispersion)
     assert units[0] > 2.0 and units[1] > 0.3 * units[0]
 
 
 def test_slow_errors_are_seen_in_a_short_recording_too() -> None:
     """Were it taken for one whose errors have nothing to do with each other, the larger of two models would win."""
     case = made(1.0, duration=4.0)
-    point = likelihood.climb([case], STRUCTURE, VALUES, likelihood.density_of(case, 0.2), FREE)
-    assert point.unit > 2.0
+    point = likelihood.levenberg_marquardt([case], STRUCTURE, VALUES, likelihood.process_noise_of(case, 0.2), FREE)
+    assert point.overdispersion > 2.0
 
 
-def rattling() -> tuple[Case, dict[str, float], float]:
+def rattling() -> tuple[PreparedRecording, dict[str, float], float]:
     """A light motor that bounces in a wide gap under a fast chirp, its true values, and a noise density."""
     structure = STRUCTURE.with_("tooth_compliance")
     values = {
@@ -164,33 +164,37 @@ def rattling() -> tuple[Case, dict[str, float], float]:
     time = np.arange(5000) * 0.002
     duty = 60.0 * np.sin(2.0 * np.pi * (0.1 + 0.395 * time) * time)
     blank = Recording("rattles", time, duty, np.zeros(len(time)), "%", "rad", COUNT)
-    case = likelihood.prepare(blank, structure)
+    case = likelihood.prepare_recording(blank, structure)
     read = kernel.predict(case.drive, kernel.vector(structure, values), kernel.start_state(0.0, 0.0, 0.0)).reading
     noise = COUNT * np.random.default_rng(3).uniform(-0.5, 0.5, len(time))
-    case = likelihood.prepare(replace(blank, output=read + noise), structure)
-    return case, values, likelihood.density_of(case, 0.1)
+    case = likelihood.prepare_recording(replace(blank, output=read + noise), structure)
+    return case, values, likelihood.process_noise_of(case, 0.1)
 
 
 def test_slopes_that_have_run_away_do_not_hold_a_climb() -> None:
     """They promise so much of a step that none is tried which is long enough for what all others say."""
-    case, values, density = rattling()
+    case, values, process_noise = rattling()
     structure, off = STRUCTURE.with_("tooth_compliance"), ("input_gain", "dead_band_forward", "backlash_gap")
     begun = {n: 1.02 * v if n in off else v for n, v in values.items()}
-    reached = likelihood.climb([case], structure, begun, density, tuple(values))
+    reached = likelihood.levenberg_marquardt([case], structure, begun, process_noise, tuple(values))
     assert abs(reached.values["input_gain"] / values["input_gain"] - 1.0) < 0.01
 
 
 def test_only_slopes_of_rattle_count_as_run_away(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where teeth stay in mesh for longer than a bounce, all of them say something, with any memory of the filter."""
-    calm, (rough, values, density) = made(), rattling()
-    known = [likelihood.density_of(calm, memory) for memory in (0.01, 0.03, 0.1, 0.5)]
+    calm, (rough, values, process_noise) = made(), rattling()
+    known = [likelihood.process_noise_of(calm, memory) for memory in (0.01, 0.03, 0.1, 0.5)]
     kept = [likelihood.innovations(calm, STRUCTURE, VALUES, d, FREE).slopes for d in known]
-    bounded = likelihood.innovations(rough, STRUCTURE.with_("tooth_compliance"), values, density, tuple(values)).slopes
-    limit = likelihood.AWAY * 60.0 * 0.102**2
-    monkeypatch.setattr(likelihood, "AWAY", math.inf)
+    bounded = likelihood.innovations(
+        rough, STRUCTURE.with_("tooth_compliance"), values, process_noise, tuple(values)
+    ).slopes
+    limit = likelihood.MAX_SLOPE_RATIO * 60.0 * 0.102**2
+    monkeypatch.setattr(likelihood, "MAX_SLOPE_RATIO", math.inf)
     for d, slopes in zip(known, kept, strict=True):
         np.testing.assert_array_equal(slopes, likelihood.innovations(calm, STRUCTURE, VALUES, d, FREE).slopes)
-    grown = likelihood.innovations(rough, STRUCTURE.with_("tooth_compliance"), values, density, tuple(values)).slopes
+    grown = likelihood.innovations(
+        rough, STRUCTURE.with_("tooth_compliance"), values, process_noise, tuple(values)
+    ).slopes
     away = np.abs(grown[:, 0]) > limit
     assert 0.05 < away.mean() < 0.5 and float(np.abs(grown[:, 0]).max()) > 100.0 * limit
     assert not bounded[away].any()
@@ -206,9 +210,9 @@ def test_what_rounding_takes_from_a_resting_axis_is_no_error(away: float) -> Non
     rests = Recording("rests", time, np.zeros(1000), np.zeros(1000), "%", "rad", COUNT)
     moves = replace(rests, output=COUNT * np.round(time / 0.4))
     late = time > 1.0  # once it swings no more
-    case = likelihood.prepare(rests, structure)
-    run = likelihood.innovations(case, structure, values, likelihood.density_of(case, 0.1), tuple(values))
-    assert case.resting.all() and not likelihood.prepare(moves, structure).resting.any()
+    case = likelihood.prepare_recording(rests, structure)
+    run = likelihood.innovations(case, structure, values, likelihood.process_noise_of(case, 0.1), tuple(values))
+    assert case.resting.all() and not likelihood.prepare_recording(moves, structure).resting.any()
     beyond = max(away - 0.5, 0.0) * COUNT
     assert np.allclose(run.error[late], -beyond, atol=0.05 * COUNT)
     assert np.any(run.slopes[late] != 0.0) == (beyond > 0.0)
@@ -224,11 +228,13 @@ def test_what_happened_in_a_silence_bends_no_estimate() -> None:
     moved = kernel.predict(replace(whole.drive, command=otherwise), kernel.vector(STRUCTURE, VALUES), x).reading
     read = np.where(silent, np.nan, moved + COUNT * np.random.default_rng(2).uniform(-0.5, 0.5, len(time)))
     recording = replace(whole.recording, output=read)
-    case = likelihood.prepare(recording, STRUCTURE)
+    case = likelihood.prepare_recording(recording, STRUCTURE)
     start = {**VALUES, "input_gain": 0.31, "viscous_friction": 2.1}
-    point = likelihood.climb([case], STRUCTURE, start, likelihood.density_of(case, 0.2), FREE)
-    away = [point.values[n] - VALUES[n] for n in FREE] / np.sqrt(np.diag(likelihood.robust_covariance([case], point)))
-    assert np.all(np.abs(away) < 4.0) and point.unit < 2.0
+    point = likelihood.levenberg_marquardt([case], STRUCTURE, start, likelihood.process_noise_of(case, 0.2), FREE)
+    away = [point.values[n] - VALUES[n] for n in FREE] / np.sqrt(
+        np.diag(likelihood.jackknife_covariance([case], point))
+    )
+    assert np.all(np.abs(away) < 4.0) and point.overdispersion < 2.0
     apart = kernel.predict(case.drive, kernel.vector(STRUCTURE, VALUES), x).reading - moved
     assert np.abs(apart[time > 20.0]).min() > 100.0 * COUNT
 
@@ -240,9 +246,9 @@ def test_values_so_wild_that_the_model_overflows_are_refused_without_a_word() ->
         warnings.simplefilter("error")  # in every thread: an array's overflow would be raised
         assert likelihood.deviances([case], STRUCTURE, wild, 1.0) == [math.inf, math.inf]
         assert likelihood.evaluate([case], STRUCTURE, wild[0], 1.0, FREE).deviance == math.inf
-        assert "cannot run" in likelihood.climb([case], STRUCTURE, wild[0], 1.0, FREE).says
-        untraced = Point(STRUCTURE, VALUES, 1.0, FREE[:2], 0.0, 1.0, np.diag([4.0, 0.0]), np.zeros(2), np.eye(2))
-        assert np.array_equal(untraced.covariance, [[0.25, 0.0], [0.0, math.inf]]) and untraced.unit == 1.0
+        assert "cannot run" in likelihood.levenberg_marquardt([case], STRUCTURE, wild[0], 1.0, FREE).message
+        untraced = Fit(STRUCTURE, VALUES, 1.0, FREE[:2], 0.0, 1.0, np.diag([4.0, 0.0]), np.zeros(2), np.eye(2))
+        assert np.array_equal(untraced.covariance, [[0.25, 0.0], [0.0, math.inf]]) and untraced.overdispersion == 1.0
 
 
 def test_a_model_that_no_command_moves_is_refused() -> None:
@@ -258,10 +264,10 @@ def test_a_stop_far_on_the_wrong_side_of_all_readings_is_refused_without_a_run(m
     """The link would be pressed as deep as no stop gives way, in steps as short as that stiffness asks for."""
     case, structure = made(duration=5.0), STRUCTURE.with_("end_stop")
     stiff = {**VALUES, **NOWHERE, "stop_stiffness": 5e4, "stop_damping": 0.0, "stop_hysteresis": 0.0}
-    least, most = case.reach
+    least, most = case.reading_range
     met, wrong = {
-        "stop_lower": (least + 0.1 * case.spread, most + 1.1 * case.spread),
-        "stop_upper": (most - 0.1 * case.spread, least - 1.1 * case.spread),
+        "stop_lower": (least + 0.1 * case.reading_span, most + 1.1 * case.reading_span),
+        "stop_upper": (most - 0.1 * case.reading_span, least - 1.1 * case.reading_span),
     }[stop]
     for place in (NOWHERE[stop], met):
         assert np.isfinite(likelihood.evaluate([case], structure, {**stiff, stop: place}, 1.0).deviance)
@@ -291,13 +297,15 @@ def test_a_motor_that_rattles_makes_the_likelihood_rough_and_the_errors_wide(
     time, duty = 0.002 * np.arange(6000), steps(np.random.default_rng(1), 6000, hold, 40.0)
     read = count * np.round(run(structure, values, time, duty)[0] / count)
     recording = Recording("made", time, duty, read, "%", "rad", count)
-    cases = [likelihood.prepare(recording, structure)]
-    density = likelihood.density_of(cases[0], 0.1)
-    point = likelihood.climb(cases, structure, values, density, preparation.free_parameters(structure))
+    cases = [likelihood.prepare_recording(recording, structure)]
+    process_noise = likelihood.process_noise_of(cases[0], 0.1)
+    point = likelihood.levenberg_marquardt(
+        cases, structure, values, process_noise, preparation.free_parameters(structure)
+    )
     found = maximum_likelihood.roughness(cases, point)
     assert found > 100.0 if rough else found < 1.0
     model = maximum_likelihood.to_model(cases, point, [recording], {})
-    least = point.covariance if rough else likelihood.robust_covariance(cases, point)
+    least = point.covariance if rough else likelihood.jackknife_covariance(cases, point)
     wider = np.sqrt(np.diag(model.covariance) / np.diag(least))
     assert np.all(wider > 10.0) if rough else np.all(wider < 1.2)
     # What bounces have made of the slopes must not pass for knowledge.
@@ -350,11 +358,11 @@ def test_friction_that_would_push_is_none(dry: float, beyond: float, side: float
     time = 0.002 * np.arange(2000)
     command = steps(np.random.default_rng(8), len(time), 150, 40.0)
     there, _ = run(structure, values, time, command)
-    within = likelihood._resisting(values, tuple(values))
+    within = likelihood._with_resisting_friction(values, tuple(values))
     here, _ = run(structure, within, time, command)
     assert here == pytest.approx(there, abs=1e-9)
     assert abs(within["friction_asymmetry"]) <= within["coulomb_friction"] + 1e-12
-    known = likelihood._resisting(values, ("friction_asymmetry",))
+    known = likelihood._with_resisting_friction(values, ("friction_asymmetry",))
     assert known["coulomb_friction"] == dry == pytest.approx(abs(known["friction_asymmetry"]))
 
 
@@ -367,9 +375,11 @@ def test_friction_in_one_direction_alone_has_a_size_that_is_known() -> None:
     command = np.where(np.arange(len(time)) % 400 < 100, 0.0, steps(rng, len(time), 200, 40.0))
     y, _ = run(structure, values, time, command + 0.3 * rng.standard_normal(len(time)))
     recording = Recording("made", time, command, np.round(y / COUNT) * COUNT, "%", "rad", COUNT)
-    case = likelihood.prepare(recording, structure)
+    case = likelihood.prepare_recording(recording, structure)
     begun = {**values, "coulomb_friction": 0.4, "friction_asymmetry": -1.5}
-    found = likelihood.climb([case], structure, begun, likelihood.density_of(case, 0.1), tuple(values))
+    found = likelihood.levenberg_marquardt(
+        [case], structure, begun, likelihood.process_noise_of(case, 0.1), tuple(values)
+    )
     lean = found.free.index("friction_asymmetry")
     assert found.values["friction_asymmetry"] == pytest.approx(-1.0, abs=0.1)
     assert found.robust_covariance[lean, lean] ** 0.5 < 0.1

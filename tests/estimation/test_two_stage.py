@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from twin.effects.catalogue import BASE
-from twin.estimation.two_stage import NAMES, bound, gains, to_model, two_stage
+from twin.estimation.two_stage import NAMES, cramer_rao_bound, steady_gains, to_model, two_stage
 from twin.io.recording import Recording
 from twin.model.fitted_model import dumps, loads
 
@@ -126,7 +126,7 @@ def test_delta_is_negative_forwards_and_positive_backwards() -> None:
 
 def test_four_duties_give_equation_11_solved_by_hand() -> None:
     duties, speeds = (25.0, -25.0, 35.0, -35.0), (0.51, -0.43, 0.752, -0.71)  # not of one line: errors show
-    line, _ = gains([(v, w, 0.01) for v, w in zip(duties, speeds, strict=True)])
+    line, _ = steady_gains([(v, w, 0.01) for v, w in zip(duties, speeds, strict=True)])
     v1, v2, v3, v4 = duties
     w1, w2, w3, w4 = speeds
     q = ((v3 - v4) - (v1 - v2)) / ((w3 - w4) - (w1 - w2))
@@ -146,7 +146,7 @@ def test_more_duties_and_weights_do_better_than_four() -> None:
                 (v, (v - 5.0 * np.sign(v)) / 40.0 + e * rng.standard_normal(), e)
                 for v, e in zip(duties, error, strict=True)
             ]
-            errors[many].append(1.0 / float(gains(steady)[0][0]) - 40.0)
+            errors[many].append(1.0 / float(steady_gains(steady)[0][0]) - 40.0)
     assert np.std(errors[True]) < 0.5 * np.std(errors[False])
 
 
@@ -157,7 +157,7 @@ def test_the_covariance_of_the_line_is_its_scatter() -> None:
     found, claimed = [], []
     for _ in range(2000):
         speeds = truth + error * rng.standard_normal(len(duties))
-        line, spread = gains([(v, w, error) for v, w in zip(duties, speeds, strict=True)])
+        line, spread = steady_gains([(v, w, error) for v, w in zip(duties, speeds, strict=True)])
         found.append(line)
         claimed.append(np.diag(spread))
     # Errors are never claimed below what was given, so their mean is a little above the scatter.
@@ -170,8 +170,8 @@ def test_the_covariance_of_the_line_is_its_scatter() -> None:
 )
 def test_bound_of_a_piece_is_that_of_the_method_page(speed: float, count: int, known: float, unknown: float) -> None:
     time, noise = np.arange(count) * STEP, COUNT / math.sqrt(12.0)
-    assert bound(time, 0.52, -2.0 * speed, noise) == pytest.approx(known, rel=0.3)
-    assert bound(time, 0.52, -2.0 * speed, noise, known=False) == pytest.approx(unknown, rel=0.3)
+    assert cramer_rao_bound(time, 0.52, -2.0 * speed, noise) == pytest.approx(known, rel=0.3)
+    assert cramer_rao_bound(time, 0.52, -2.0 * speed, noise, known=False) == pytest.approx(unknown, rel=0.3)
 
 
 def test_scatter_of_the_pieces_is_their_bound() -> None:

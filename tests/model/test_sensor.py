@@ -46,17 +46,17 @@ def test_an_encoder_off_centre_is_estimated_wherever_a_recording_begins(angle: f
     y, _ = run(OFF_CENTRE, true, time, command + 0.3 * rng.standard_normal(len(time)))
     recording = Recording("made", time, command, np.round(y / COUNT) * COUNT, "%", "rad", COUNT)
     assert abs(recording.output[0]) > 15.0 * COUNT
-    case = likelihood.prepare(recording, OFF_CENTRE)
+    case = likelihood.prepare_recording(recording, OFF_CENTRE)
     begun = {**true, "eccentricity": 0.004, "eccentricity_angle": angle + 0.5}
-    found = likelihood.fit([case], OFF_CENTRE, begun, preparation.free_parameters(OFF_CENTRE))
+    found = likelihood.fit_with_process_noise([case], OFF_CENTRE, begun, preparation.free_parameters(OFF_CENTRE))
     assert found.values["eccentricity"] == pytest.approx(0.01, rel=0.1)
     assert found.values["eccentricity_angle"] == pytest.approx(angle, abs=0.1)
 
     def error(values: dict[str, float]) -> np.ndarray:
-        return likelihood.innovations(case, OFF_CENTRE, values, found.density).error
+        return likelihood.innovations(case, OFF_CENTRE, values, found.process_noise).error
 
     free = ("eccentricity", "eccentricity_angle")
-    slopes = likelihood.innovations(case, OFF_CENTRE, found.values, found.density, free).slopes
+    slopes = likelihood.innovations(case, OFF_CENTRE, found.values, found.process_noise, free).slopes
     for i, name in enumerate(free):
         up, down = ({**found.values, name: found.values[name] + s} for s in (1e-6, -1e-6))
         np.testing.assert_allclose(-slopes[:, i], (error(up) - error(down)) / 2e-6, rtol=1e-3, atol=1e-4)

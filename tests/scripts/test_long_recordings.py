@@ -10,7 +10,7 @@ import pytest
 from axis_runs import run, steps
 
 from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Case
+from twin.estimation.likelihood import PreparedRecording
 from twin.io.recording import Loop, Recording
 from twin.model.stepper import STATES, Structure
 from twin.simulation import kernel
@@ -40,9 +40,9 @@ def made(count: int = 6000) -> Recording:
 def test_slopes_in_pieces_are_those_of_the_whole(most: int, closed: bool) -> None:
     loop = Loop("P", gain=150.0, limit=60.0)
     recording = replace(made(), loop=loop, optional={"reference": np.sin(np.arange(6000) / 500.0)})
-    case = likelihood.prepare(recording, STRUCTURE, closed=closed)
+    case = likelihood.prepare_recording(recording, STRUCTURE, closed=closed)
     p = kernel.vector(STRUCTURE, VALUES)
-    noise = likelihood.noise_for(case, likelihood.density_of(case, 0.1))
+    noise = likelihood.filter_noise(case, likelihood.process_noise_of(case, 0.1))
     given = (case.drive, p, kernel.start_state(*case.start, 0.0), np.zeros((len(STATES), len(FREE))), FREE, noise)
     whole = kernel.predict_with_slopes(*given)
     parts = list(kernel.in_pieces(*given, most))
@@ -56,17 +56,17 @@ def test_slopes_in_pieces_are_those_of_the_whole(most: int, closed: bool) -> Non
 
 @pytest.mark.parametrize("ahead", [False, True])
 def test_a_point_is_the_same_in_pieces(monkeypatch: pytest.MonkeyPatch, ahead: bool) -> None:
-    def found(cases: list[Case]) -> list[np.ndarray]:
-        point = likelihood.evaluate(cases, STRUCTURE, VALUES, density, FREE)
-        spread = likelihood.robust_covariance(cases, point)
-        return [np.array([point.deviance, point.scale]), point.normal, point.gradient, spread]
+    def found(cases: list[PreparedRecording]) -> list[np.ndarray]:
+        point = likelihood.evaluate(cases, STRUCTURE, VALUES, process_noise, FREE)
+        spread = likelihood.jackknife_covariance(cases, point)
+        return [np.array([point.deviance, point.scale]), point.information, point.gradient, spread]
 
-    cases = preparation.prepare([made(), made(3000)], STRUCTURE)
-    density = likelihood.density_of(cases[0], 0.05)
+    cases = preparation.prepare_recordings([made(), made(3000)], STRUCTURE)
+    process_noise = likelihood.process_noise_of(cases[0], 0.05)
     if ahead:
-        cases = [likelihood.ahead(c, density, 1.0) for c in cases]
+        cases = [likelihood.with_free_runs(c, process_noise, 1.0) for c in cases]
     whole = found(cases)
-    monkeypatch.setattr(likelihood, "AT_ONCE", 777)
-    monkeypatch.setattr(likelihood, "_RECENT", OrderedDict())
+    monkeypatch.setattr(likelihood, "MAX_STAMPS_AT_ONCE", 777)
+    monkeypatch.setattr(likelihood, "_CACHE", OrderedDict())
     for one, other in zip(found(cases), whole, strict=True):
         assert np.abs(one - other).max() <= 1e-9 * np.abs(other).max()

@@ -17,8 +17,8 @@ import manifests
 import real_recordings
 
 from twin.diagnosis import diagnose, forward_selection, screening
-from twin.diagnosis.forward_selection import Search
-from twin.diagnosis.plausibility import plausible
+from twin.diagnosis.forward_selection import SearchResult
+from twin.diagnosis.plausibility import is_plausible
 from twin.effects.catalogue import CANDIDATES
 from twin.estimation import estimate, likelihood, preparation
 from twin.io import recording
@@ -32,29 +32,29 @@ DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 real = pytest.mark.skipif(not DATA.is_dir(), reason="the real recordings are not here")
 
 
-def made(unit: str, count: int, duration: float = 10.0, swing: float = 0.3) -> list[likelihood.Case]:
+def made(unit: str, count: int, duration: float = 10.0, swing: float = 0.3) -> list[likelihood.PreparedRecording]:
     """Cases of a slow oscillation at 0.5 Hz."""
     time = np.arange(0.0, duration, 0.01)
     output = swing * np.sin(np.pi * time)
     one = Recording("made", time, np.cos(np.pi * time), output, "V", unit, resolution=1e-4)
     structure = Structure.of(["inertia", "viscous_friction"])
-    return [likelihood.prepare(replace(one, name=f"made {k}"), structure) for k in range(count)]
+    return [likelihood.prepare_recording(replace(one, name=f"made {k}"), structure) for k in range(count)]
 
 
 def test_only_what_such_recordings_can_show_is_offered() -> None:
-    assert set(screening.offered(made("rad", 1, swing=5.0), CANDIDATES)) == set(CANDIDATES)
-    linear = screening.offered(made("m", 1), CANDIDATES)
+    assert set(screening.testable_candidates(made("rad", 1, swing=5.0), CANDIDATES)) == set(CANDIDATES)
+    linear = screening.testable_candidates(made("m", 1), CANDIDATES)
     assert "constant_offset" in linear and not {"gravity", "encoder_eccentricity"} & set(linear)
-    several = screening.offered(made("rad", 2, swing=5.0), CANDIDATES)
+    several = screening.testable_candidates(made("rad", 2, swing=5.0), CANDIDATES)
     assert "gravity" in several and not {"load_change", "periodic_disturbance"} & set(several)
-    short = screening.offered(made("rad", 1, swing=0.3), CANDIDATES)
+    short = screening.testable_candidates(made("rad", 1, swing=0.3), CANDIDATES)
     assert "gravity" in short and "encoder_eccentricity" not in short
     assert "position_dependent_friction" in short, "it turns with the motion over a tenth of a turn, too"
-    shorter = screening.offered(made("rad", 1, swing=0.2), CANDIDATES)
+    shorter = screening.testable_candidates(made("rad", 1, swing=0.2), CANDIDATES)
     assert "gravity" in shorter and "position_dependent_friction" not in shorter
-    third = screening.offered(made("rad", 1, swing=1.0), CANDIDATES)
+    third = screening.testable_candidates(made("rad", 1, swing=1.0), CANDIDATES)
     assert {"encoder_eccentricity", "position_dependent_friction"} <= set(third)
-    speeds = screening.offered(made("rad/s", 2), CANDIDATES)
+    speeds = screening.testable_candidates(made("rad/s", 2), CANDIDATES)
     assert "drive_saturation" in speeds and not {"gravity", "spring", "torque_ripple"} & set(speeds)
 
 
@@ -65,7 +65,7 @@ def test_a_disturbance_in_the_rhythm_of_the_motion_is_not_one_from_outside(frequ
     values = {p.name: p.start for p in structure.parameters}
     values |= {"disturbance_frequency": frequency, "disturbance_phase": 0.3, "disturbance": 1.0}
     point = likelihood.evaluate(cases, structure, values, 1.0)
-    assert plausible(cases, point) == outside
+    assert is_plausible(cases, point) == outside
 
 
 def test_held_and_rounded_readings_do_not_run_away_with_the_noise_density() -> None:
@@ -75,9 +75,9 @@ def test_held_and_rounded_readings_do_not_run_away_with_the_noise_density() -> N
     seen = np.repeat(np.round(speed[::10] / 4.0) * 4.0, 10)
     one = Recording("held", time, np.full(len(time), 10.0), seen, "%", "rad/s", resolution=4.0)
     structure = Structure.of(["inertia", "viscous_friction"])
-    case = likelihood.prepare(one, structure)
-    found = likelihood.best_density([case], structure, {"input_gain": 50.0, "viscous_friction": 5.0})
-    assert found <= likelihood.density_of(case, 4.9 * case.step)
+    case = likelihood.prepare_recording(one, structure)
+    found = likelihood.most_likely_process_noise([case], structure, {"input_gain": 50.0, "viscous_friction": 5.0})
+    assert found <= likelihood.process_noise_of(case, 4.9 * case.step)
 
 
 def test_one_sensor_has_one_noise_however_quick_the_motion() -> None:
@@ -86,9 +86,9 @@ def test_one_sensor_has_one_noise_however_quick_the_motion() -> None:
     runs = [np.round(swing * np.sin(20.0 * time) / count) * count for swing in (0.02, 2.0)]
     recordings = [Recording("run", time, np.cos(time), y, "%", "rad", resolution=count) for y in runs]
     structure = Structure.of(["inertia", "viscous_friction"])
-    alone = [likelihood.prepare(r, structure).reading_variance for r in recordings]
+    alone = [likelihood.prepare_recording(r, structure).reading_variance for r in recordings]
     assert alone[1] > 10.0 * alone[0]
-    together = preparation.prepare(recordings, structure)
+    together = preparation.prepare_recordings(recordings, structure)
     assert [c.reading_variance for c in together] == pytest.approx([count**2 / 12.0] * 2, rel=0.5)
 
 
@@ -104,7 +104,7 @@ def test_the_floor_of_a_changed_friction_is_what_an_exact_model_errs() -> None:
     def made(role: str, friction: float) -> Recording:
         asked = Recording("made", time, time, 0.1 + 0.0 * time, "V", "m", role=role, loop=loop,
                           optional={"reference": reference})  # fmt: skip
-        case = likelihood.prepare(asked, structure, closed=True)
+        case = likelihood.prepare_recording(asked, structure, closed=True)
         p = kernel.vector(structure, {**truth, "coulomb_friction": friction})
         run = kernel.predict(case.drive, p, kernel.start_state(0.1, 0.0, 0.0), keep_states=True)
         wish = loop.kv * (loop.kp * (reference - run.reading) - run.states[:, 1])
@@ -132,12 +132,12 @@ def test_the_floor_of_a_counted_speed_is_its_rounding() -> None:
     assert total == pytest.approx(np.hypot(rounding, 30.0 / np.pi * 8.0 * 0.6 / np.sqrt(12.0)), rel=0.1)
 
 
-def quick(name: str, candidates: Sequence[str] = CANDIDATES) -> Search:
+def quick(name: str, candidates: Sequence[str] = CANDIDATES) -> SearchResult:
     """The search on the quick part of a set, from its plain model."""
     chosen = real_recordings.SETS[name]
     recordings, rig = real_recordings.recordings_of(name, DATA, quick=True)
     train = [r for r in recordings if r.role == "train"]
-    return forward_selection.find(train, estimate.first_structure(rig, chosen.more, chosen.fewer), {}, candidates)
+    return forward_selection.search(train, estimate.first_structure(rig, chosen.more, chosen.fewer), {}, candidates)
 
 
 @real

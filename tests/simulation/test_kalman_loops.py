@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from twin.effects.catalogue import BASE
 from twin.estimation import likelihood
-from twin.estimation.likelihood import Case
+from twin.estimation.likelihood import PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import STATES, Structure
 from twin.simulation import kernel
@@ -27,7 +27,7 @@ COUNT = 2e-4
 STEP = 0.002
 
 
-def made(speed: bool = False, shaken: float = 0.0, duration: float = 12.0) -> Case:
+def made(speed: bool = False, shaken: float = 0.0, duration: float = 12.0) -> PreparedRecording:
     """Quick reversals of the base model, read in counts; `shaken` is the noise of the duty, unknown to the reader."""
     rng = np.random.default_rng(4)
     count = round(duration / STEP)
@@ -36,10 +36,12 @@ def made(speed: bool = False, shaken: float = 0.0, duration: float = 12.0) -> Ca
     unit = "rad/s" if speed else "rad"
     blank = Recording("made", STEP * np.arange(count), duty + unknown, np.zeros(count), "%", unit, COUNT)
     p = kernel.vector(STRUCTURE, VALUES)
-    read = kernel.predict(likelihood.prepare(blank, STRUCTURE).drive, p, kernel.start_state(0.0, 0.0, 0.0)).reading
+    read = kernel.predict(
+        likelihood.prepare_recording(blank, STRUCTURE).drive, p, kernel.start_state(0.0, 0.0, 0.0)
+    ).reading
     read = COUNT * np.round(read / COUNT)
     read[count // 2 : count // 2 + 40] = np.nan
-    return likelihood.prepare(replace(blank, input=duty, output=read), STRUCTURE)
+    return likelihood.prepare_recording(replace(blank, input=duty, output=read), STRUCTURE)
 
 
 def van_loan(friction: float, link: float, motor: float) -> tuple[np.ndarray, np.ndarray]:
@@ -88,7 +90,10 @@ def test_the_filter_is_the_one_of_the_textbook(speed: bool) -> None:
 @pytest.mark.parametrize("silence", [math.inf, 0.05])
 def test_slopes_of_the_filtered_reading_are_differences(silence: float) -> None:
     case = made()
-    x, noise = kernel.start_state(*case.start, 0.0), likelihood.noise_for(case, likelihood.density_of(case, 0.05))
+    x, noise = (
+        kernel.start_state(*case.start, 0.0),
+        likelihood.filter_noise(case, likelihood.process_noise_of(case, 0.05)),
+    )
     noise = replace(noise, silence=silence)
     names = ("input_gain", "dead_band_forward")
     none = np.zeros((len(STATES), len(names)))
@@ -114,7 +119,7 @@ def test_after_a_silence_the_filter_begins_anew_where_it_reads_the_axis(speed: b
     measured = case.drive.measured.copy()
     measured[back - 400 : back] = np.nan
     measured[back:] += 0.7
-    noise = replace(likelihood.noise_for(case, likelihood.density_of(case, 0.05)), silence=silence)
+    noise = replace(likelihood.filter_noise(case, likelihood.process_noise_of(case, 0.05)), silence=silence)
     p, x = kernel.vector(STRUCTURE, VALUES), kernel.start_state(*case.start, 0.0)
     run = kernel.predict(replace(case.drive, measured=measured), p, x, noise, True)
     assert np.flatnonzero(np.isnan(run.reading)).tolist() == [back]
@@ -137,14 +142,14 @@ def test_after_a_silence_the_filter_begins_anew_where_it_reads_the_axis(speed: b
 def test_noise_is_found_as_strong_as_it_is_in_a_loose_gap() -> None:
     shaken = 1.0
     case = made(shaken=shaken, duration=30.0)
-    found = likelihood.best_density([case], STRUCTURE, VALUES)
+    found = likelihood.most_likely_process_noise([case], STRUCTURE, VALUES)
     planted = (VALUES["input_gain"] * shaken) ** 2 * STEP / case.reading_variance
     assert 0.3 < found / planted < 3.0
     point = likelihood.evaluate([case], STRUCTURE, VALUES, found, FREE)
     assert 0.7 < point.scale < 1.5
     # A stretch for each parameter is used up by the maximum: what is left is taken for the more.
     stretches = 30.0 / 0.5
-    assert point.unit < 2.0 * stretches / (stretches - len(FREE))
+    assert point.overdispersion < 2.0 * stretches / (stretches - len(FREE))
 
 
 def test_without_noise_nothing_is_corrected() -> None:
@@ -159,7 +164,7 @@ def test_without_noise_nothing_is_corrected() -> None:
 def test_a_link_that_weighs_nothing_is_not_followed_without_memory() -> None:
     """In the gap the filter knows of the link what it knows where motor and link are one, however light it is."""
     case = made()
-    noise = likelihood.noise_for(case, likelihood.density_of(case, 0.1))
+    noise = likelihood.filter_noise(case, likelihood.process_noise_of(case, 0.1))
     start = kernel.start_state(*case.start, 0.0)
     loose = kernel.predict(case.drive, kernel.vector(STRUCTURE, {**VALUES, "motor_share": 0.98}), start, noise, True)
     rigid = Structure.of([i for i in BASE if i != "backlash"])

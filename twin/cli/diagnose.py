@@ -29,7 +29,7 @@ def _diagnose(args: argparse.Namespace) -> int:
         structure = estimate.first_structure(rig, args.more, args.fewer, None if given is None else given.structure)
         estimate.compile_kernel(tell)
         d = diagnose.diagnose(
-            recordings, structure, {} if given is None else estimate.held_of(given),
+            recordings, structure, {} if given is None else estimate.held_parameters(given),
             progress=lambda s, x: tell(s, 0.05 + 0.9 * x), closed=args.closed,
         )  # fmt: skip
         page = ""

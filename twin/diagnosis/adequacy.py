@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from twin.diagnosis import drift
 from twin.diagnosis.drift import Dynamics, MeanSquare
-from twin.diagnosis.holdout import Part
-from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Case, Point
+from twin.diagnosis.holdout import HoldoutPart
+from twin.estimation import filter_memory, likelihood, optimizer, parameter_bounds, preparation
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.fmi.python_fmu import start_state
 from twin.io.recording import known_quantities
 from twin.model import equations
@@ -63,7 +64,7 @@ class Error:
     reading: float  # variance of a reading, output unit^2
 
 
-def dynamics(structure: Structure, values: Mapping[str, float], case: Case, states: FloatArray) -> Dynamics:
+def dynamics(structure: Structure, values: Mapping[str, float], case: PreparedRecording, states: FloatArray) -> Dynamics:
     """How a small error moves along a run of the model whose states (N, states) are given."""
     x, v = states[:, _STATE["position"]], states[:, _STATE["velocity"]]
     time = case.drive.time
@@ -94,7 +95,7 @@ def dynamics(structure: Structure, values: Mapping[str, float], case: Case, stat
     return Dynamics(time, -by_position / inertia, -by_velocity / inertia, ~held)
 
 
-def _axes(point: Point) -> FloatArray:
+def _axes(point: Fit) -> FloatArray:
     """The principal axes (n, n) of the parameters' uncertainty, one standard error long; what leaves no trace has
     none."""
     covariance = point.covariance
@@ -105,7 +106,7 @@ def _axes(point: Point) -> FloatArray:
     return np.asarray((vectors * np.sqrt(np.maximum(eigenvalues, 0.0))) * size[:, None])
 
 
-def _chords(case: Case, point: Point) -> FloatArray:
+def _chords(case: PreparedRecording, point: Fit) -> FloatArray:
     """What one standard error along each axis changes in the free run (N, n): half the difference of both sides.
 
     A chord holds where the slope does not: behind a gap a slope grows from meeting to meeting without end.
@@ -114,9 +115,9 @@ def _chords(case: Case, point: Point) -> FloatArray:
     def run(step: FloatArray) -> FloatArray:
         moved = {}
         for name, change in zip(point.free, step.tolist(), strict=True):
-            low, high = likelihood.bounds_of(name)
+            low, high = parameter_bounds.bounds_of(name)
             moved[name] = min(max(point.values[name] + change, low), high)
-        return likelihood.states(case, point.structure, {**point.values, **moved}, 0.0).reading
+        return likelihood.filtered_states(case, point.structure, {**point.values, **moved}, 0.0).reading
 
     axes = _axes(point).T
     runs = each(run, [*axes, *(-axes)])
@@ -138,10 +139,10 @@ class Grid:
     stride: int
 
 
-def _grid(case: Case, density: float, points: int) -> Grid:
+def _grid(case: PreparedRecording, process_noise: float, points: int) -> Grid:
     """So many points, and before them those of the first memories of the filter, in which its start is read."""
     count = len(case.drive.time)
-    length = _MEMORIES * likelihood.memory_of(case, density) / case.step
+    length = _MEMORIES * filter_memory.memory_of(case, process_noise) / case.step
     read = int(np.clip(length, min(_FEWEST_READ, count - 2), max(count // 2, 2)))
     stride = -(-read // _MOST_READ)
     first = np.arange(0, read + 1, stride)
@@ -170,7 +171,7 @@ def _means(found: FloatArray, grid: Grid) -> FloatArray:
     return np.asarray(np.where(read, blocks, 0.0).sum(axis=1) / np.maximum(read.sum(axis=1), 1))
 
 
-def _unknown_gap(point: Point, states: FloatArray) -> FloatArray:
+def _unknown_gap(point: Fit, states: FloatArray) -> FloatArray:
     """Standard deviation (N,) by which the link is ahead or behind because nobody saw where in its gap the motor began:
     anywhere, with the same chance; it shows once the link has moved.
     """
@@ -183,13 +184,13 @@ def _unknown_gap(point: Point, states: FloatArray) -> FloatArray:
 class Started:
     """A free run from the start that the first readings speak for, under the model's own torque noise."""
 
-    case: Case  # with that start
+    case: PreparedRecording  # with that start
     reading: FloatArray  # (N,) what the sensor should read
     factor: FloatArray  # (K, sources) of the error's covariance at the points, that of the start included
     grid: Grid
 
 
-def started(case: Case, point: Point, points: int) -> Started:
+def started(case: PreparedRecording, point: Fit, points: int) -> Started:
     """Run the model freely from the start that makes the first readings likeliest under its own torque noise.
 
     A velocity read off the first few counts is wrong by half a count over their time, which a free run keeps for ever
@@ -198,10 +199,10 @@ def started(case: Case, point: Point, points: int) -> Started:
     first = start_state(case.recording)
     case = replace(case, start=(first.position, first.velocity))
     reading = case.reading_variance * point.scale
-    grid = _grid(case, point.density, points)
-    noise = drift.Noise(point.density * reading, 1.0, 1.0)
+    grid = _grid(case, point.process_noise, points)
+    noise = drift.Noise(point.process_noise * reading, 1.0, 1.0)
     for _ in range(_LOOKS):
-        run = likelihood.states(case, point.structure, point.values, 0.0)
+        run = likelihood.filtered_states(case, point.structure, point.values, 0.0)
         moves = dynamics(point.structure, point.values, case, run.states)
         factor = drift.factor(moves, grid.edges, noise, case.drive.speed)
         unit, sources = factor[:, :2], factor[:, 2:]
@@ -209,7 +210,7 @@ def started(case: Case, point: Point, points: int) -> Started:
         change = estimator @ _means(case.recording.output - run.reading, grid)
         position, velocity = case.start
         case = replace(case, start=(position + float(change[0]), velocity + float(change[1])))
-    run = likelihood.states(case, point.structure, point.values, 0.0)
+    run = likelihood.filtered_states(case, point.structure, point.values, 0.0)
     # What noise does to the first readings moves the start, and that moves all that follows.
     kept = sources - unit @ (estimator @ sources[: grid.begun])
     own = unit @ estimator * math.sqrt(reading / grid.stride)
@@ -217,17 +218,17 @@ def started(case: Case, point: Point, points: int) -> Started:
     return Started(case, run.reading, np.hstack([kept, own, met]), grid)
 
 
-def error(case: Case, part: Part, point: Point, points: int) -> Error:
+def error(case: PreparedRecording, part: HoldoutPart, point: Fit, points: int) -> Error:
     """The error of the free run through a part, which starts where the case does.
 
     Parameters
     ----------
-    case : Case
+    case : PreparedRecording
         The recording from where the free run starts; its first readings give the initial state.
-    part : Part
+    part : HoldoutPart
         What of the recording is judged. Where it begins later than the recording, the run is moved to the first
         reading in the part.
-    point : Point
+    point : Fit
         The model, with the covariance of its parameters and its own torque noise.
     points : int
         Of the grid.
@@ -282,21 +283,21 @@ def together(errors: Sequence[Error], was_fitted: bool) -> FreeRun:
     return FreeRun(math.sqrt(square), math.sqrt(null.mean), null.chance(square))
 
 
-def at_own_noise(cases: Sequence[Case], point: Point) -> Point:
+def at_own_noise(cases: Sequence[PreparedRecording], point: Fit) -> Fit:
     """The same model at the torque noise that makes the recordings likeliest, with its parameters' covariance there.
 
     A search judges at a noise of its own choice.
     """
-    mine = preparation.with_steps(cases, point.structure)
-    density = likelihood.best_density(mine, point.structure, point.values, around=point.density)
-    return likelihood.evaluate(mine, point.structure, point.values, density, point.free)
+    mine = preparation.with_internal_step(cases, point.structure)
+    process_noise = optimizer.most_likely_process_noise(mine, point.structure, point.values, around=point.process_noise)
+    return likelihood.evaluate(mine, point.structure, point.values, process_noise, point.free)
 
 
-def free_runs(parts: Sequence[Part], cases: Sequence[Case], point: Point, was_fitted: bool) -> list[Error]:
+def free_runs(parts: Sequence[HoldoutPart], cases: Sequence[PreparedRecording], point: Fit, was_fitted: bool) -> list[Error]:
     """The errors of the free runs through these parts, each prepared as one of the cases, with the points of the grid
     shared out by length.
     """
-    mine = preparation.with_steps(cases, point.structure)
+    mine = preparation.with_internal_step(cases, point.structure)
     whole = sum(len(c.drive.time) for c in mine)
     return [
         error(c, p, point, min(max(POINTS * len(c.drive.time) // whole, FEWEST), len(c.drive.time) - 1))

@@ -17,67 +17,59 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import wilcoxon
 
+from twin.diagnosis import thresholds
 from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 from twin.parallel import each
 
 FloatArray = NDArray[np.float64]
 
-#: Of so many stretches one is left out: all states of motion remain in the others.
-FOLDS = 5
-#: What happens less often by chance is no chance.
-SURE = 0.005
-#: What would happen more often than this by chance speaks for nothing: six largest changes in a row are gains more
-#: often. In scripts/blind_trial.py names that were there came to as much once in 72 (seeds 93 and 9407; 69061 from 790,
-#: 71069 from 961), 27 of the last 29 to a thousandth of it. Loads, ripples and encoders off centre that were not
-#: came to 0.03, 0.09, 0.15, 0.25 and 0.4.
-IDLE = 0.03
-#: By less chance a name foretells plainly. An encoder off centre that stood for a gain which varies over a turn, and
-#: left nearly nothing of the missing torque (MuJoCo, 69061:813), came to 0.0007.
-PLAIN = 1e-4
-#: On fewer stretches nothing can be told.
-LEAST = 10
 
-
-def _losses(cases: Sequence[Case], point: Point, scale: float) -> list[FloatArray]:
+def _reading_losses(cases: Sequence[PreparedRecording], point: Fit, scale: float) -> list[FloatArray]:
     """What each reading (N,) of each case takes from the likelihood at a scale; nothing where none is judged."""
     out = []
-    for case in preparation.with_steps(cases, point.structure):
-        run = likelihood.innovations(case, point.structure, point.values, point.density)
-        loss = likelihood.robust_loss(run.error / np.sqrt(run.variance * scale))
-        out.append(np.where(case.passed_over | ~np.isfinite(loss), 0.0, loss))
+    for case in preparation.with_internal_step(cases, point.structure):
+        run = likelihood.innovations(case, point.structure, point.values, point.process_noise)
+        loss = likelihood.huber_loss(run.error / np.sqrt(run.variance * scale))
+        out.append(np.where(case.masked | ~np.isfinite(loss), 0.0, loss))
     return out
 
 
-def gains(cases: Sequence[Case], smaller: Point, larger: Point) -> FloatArray:
+def block_gains(cases: Sequence[PreparedRecording], smaller: Fit, larger: Fit) -> FloatArray:
     """By how much the larger model does better on each stretch (M,) that its own values were not fitted to."""
     own = tuple(n for n in larger.free if n not in smaller.free)
-    stretches = [(c.drive.time / likelihood.STRETCH).astype(np.intp) for c in cases]
-    plain = _losses(cases, smaller, smaller.scale)
+    stretches = [(c.drive.time / likelihood.BLOCK_LENGTH).astype(np.intp) for c in cases]
+    plain = _reading_losses(cases, smaller, smaller.scale)
 
     def left_out(fold: int) -> list[FloatArray]:
-        hidden = [~c.passed_over & (s % FOLDS == fold) for c, s in zip(cases, stretches, strict=True)]
-        fitted = [replace(c, unforeseen=c.passed_over | h) for c, h in zip(cases, hidden, strict=True)]
-        mine = preparation.with_steps(fitted, larger.structure)
+        hidden = [
+            ~c.masked & (s % thresholds.CROSS_VALIDATION_FOLDS == fold) for c, s in zip(cases, stretches, strict=True)
+        ]
+        fitted = [replace(c, contact_mask=c.masked | h) for c, h in zip(cases, hidden, strict=True)]
+        mine = preparation.with_internal_step(fitted, larger.structure)
         # Where names gave way to fewer there may be nothing of its own.
-        found = likelihood.climb(mine, larger.structure, larger.values, larger.density, own) if own else larger
-        better = [a - b for a, b in zip(plain, _losses(cases, found, smaller.scale), strict=True)]
+        found = (
+            likelihood.levenberg_marquardt(mine, larger.structure, larger.values, larger.process_noise, own)
+            if own
+            else larger
+        )
+        better = [a - b for a, b in zip(plain, _reading_losses(cases, found, smaller.scale), strict=True)]
         return [np.bincount(s[h], d[h])[np.unique(s[h])] for s, h, d in zip(stretches, hidden, better, strict=True)]
 
-    return np.concatenate([g for fold in each(left_out, range(FOLDS)) for g in fold])
+    return np.concatenate([g for fold in each(left_out, range(thresholds.CROSS_VALIDATION_FOLDS)) for g in fold])
 
 
-def chance(cases: Sequence[Case], smaller: Point, larger: Point) -> float:
+def gain_p_value(cases: Sequence[PreparedRecording], smaller: Fit, larger: Fit) -> float:
     """The chance that the larger model would do better on as many stretches, were there nothing to what it adds; or
     that all of the largest changes would be gains, as where it acts in one place only.
     """
-    return by_chance(gains(cases, smaller, larger))
+    return p_value_of_gains(block_gains(cases, smaller, larger))
 
 
-def by_chance(found: FloatArray) -> float:
+def p_value_of_gains(found: FloatArray) -> float:
     """The same of the gains (M,) themselves: twice the lesser of two chances, since there are two."""
     told = found[found != 0.0]
-    if len(told) < LEAST:
+    if len(told) < thresholds.MIN_BLOCKS:
         return 1.0
     largest_first = told[np.argsort(-np.abs(told))]
     in_a_row = int(np.argmin([*(largest_first > 0.0), False]))

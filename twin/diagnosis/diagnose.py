@@ -21,33 +21,25 @@ from twin.diagnosis import (
     nonparametric,
     residual_torque,
     selection_round,
+    thresholds,
 )
-from twin.diagnosis.forward_selection import Progress, Search
-from twin.diagnosis.holdout import Part
-from twin.diagnosis.nonparametric import TERMS, Term
-from twin.diagnosis.plausibility import plausible
+from twin.diagnosis.forward_selection import Progress, SearchResult
+from twin.diagnosis.holdout import HoldoutPart
+from twin.diagnosis.nonparametric import TERM_KINDS, CurveTerm
+from twin.diagnosis.plausibility import is_plausible
 from twin.diagnosis.result import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN, pages
 from twin.errors import BadInput
 from twin.estimation import likelihood, local_optima, maximum_likelihood, multistart, preparation
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 from twin.io.position_loop import own_loop
 from twin.io.recording import Recording, to_fit
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
 from twin.parallel import each
 
-#: So many shapes without a name are drawn to the end; none where names likelier than this, which plainly foretell,
-#: leave a smaller share of the missing torque and took away what depends on the state, or more.
-SKETCHES, LIKELY, FAINT = 3, 0.9, 0.1
-#: Dry friction that leaves a smaller share of the missing torque than this keeps its name: no machine's follows a law
-#: exactly, and a curve over the speed follows it wherever it departs.
-DRY = 0.3
-#: Where nothing is named and the missing torque goes with something, but for this chance, a curve that foretells has to
-#: earn no more than its knots' price.
-CERTAIN = 0.001
 #: Shapes that are tried whatever the missing torque shows: the likelihood sees more of them than its averages do.
-ALWAYS = ("position", "velocity", "input", "time", "drag", "bend", "swing")
+ALWAYS_TRIED = ("position", "velocity", "input", "time", "drag", "bend", "swing")
 
 
 def _fitness(chosen: Sequence[Trace], which: str, white: float) -> Fitness:
@@ -57,12 +49,14 @@ def _fitness(chosen: Sequence[Trace], which: str, white: float) -> Fitness:
     return Fitness(value, percent, white)
 
 
-def _white(cases: Sequence[Case], point: Point) -> float:
-    parts = [likelihood.innovations(c, point.structure, point.values, point.density) for c in cases]
-    return model_comparison.whiteness(np.concatenate([i.error / np.sqrt(i.variance * point.scale) for i in parts]))
+def _whiteness_p_value(cases: Sequence[PreparedRecording], point: Fit) -> float:
+    parts = [likelihood.innovations(c, point.structure, point.values, point.process_noise) for c in cases]
+    return model_comparison.whiteness_p_value(
+        np.concatenate([i.error / np.sqrt(i.variance * point.scale) for i in parts])
+    )
 
 
-def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, float], ...]]:
+def _probabilities(found: SearchResult) -> tuple[dict[str, float], tuple[tuple[str, float], ...]]:
     """Per named effect, or one of the base that a rival could stand for, and a ranking of these, their rivals and, of
     the first round, what else was tried.
 
@@ -70,10 +64,10 @@ def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, fl
     """
     named: dict[str, float] = {}
     ranking: dict[str, float] = {}
-    for effect in dict.fromkeys((*found.last.structure.named, *(w.effect for w in found.swaps))):
+    for effect in dict.fromkeys((*found.last.structure.named, *(w.effect for w in found.alternatives))):
         if effect in UNKNOWN:
             continue
-        named[effect], others = forward_selection.shares(found, effect)
+        named[effect], others = forward_selection.probability_shares(found, effect)
         for rival, share in others.items():
             ranking[rival] = max(ranking.get(rival, 0.0), share)
     # What the first model has is not missing, whatever could stand in its place.
@@ -82,14 +76,16 @@ def _probabilities(found: Search) -> tuple[dict[str, float], tuple[tuple[str, fl
     taken = bool(new) or any(i in UNKNOWN for i in found.last.structure.ids)
     for this in found.rounds[:1]:
         tried = (*(h.point for h in this.rivals), this.before)
-        weight = model_comparison.weights([model_comparison.criterion(p, this.unit) for p in tried])
+        weight = model_comparison.model_probabilities(
+            [model_comparison.criterion(p, this.overdispersion) for p in tried]
+        )
         for h, w in zip(this.rivals, weight, strict=False):
             ranking.setdefault(h.added[0], 0.0 if taken else float(w))
     ranking |= new
     return named, tuple(sorted(ranking.items(), key=lambda pair: -pair[1]))
 
 
-def _findings(found: Search, model: Model, first: Structure) -> tuple[Finding, ...]:
+def _findings(found: SearchResult, model: Model, first: Structure) -> tuple[Finding, ...]:
     named, _ = _probabilities(found)
     out = []
     for effect in model.structure.named:
@@ -115,22 +111,25 @@ def _findings(found: Search, model: Model, first: Structure) -> tuple[Finding, .
     return tuple(sorted(out, key=lambda f: -f.probability))
 
 
-def _undecided(found: Search) -> tuple[Undecided, ...]:
+def _undecided(found: SearchResult) -> tuple[Undecided, ...]:
     """Effects and the rivals that could as well stand in their place, with what each is given."""
     named, ranking = _probabilities(found)
     out = []
-    for swap in found.swaps:
+    for swap in found.alternatives:
         one, two = swap.effect, swap.rival
-        if model_comparison.ahead(found.last, swap.point) < model_comparison.UNSURE:
+        if model_comparison.criterion_difference(found.last, swap.point) < thresholds.UNDECIDED_MARGIN:
             text = EFFECTS[one].confused_with.get(two) or EFFECTS[two].confused_with.get(one)
             text = text or "a richer recording: several amplitudes, coast-downs, slow ramps"
             out.append(Undecided((one, two), (named[one], dict(ranking)[two]), text))
     return tuple(sorted(out, key=lambda u: -u.probabilities[1]))
 
 
-def _nameless(
-    found: Search, before: nonparametric.Leftover, after: nonparametric.Leftover, chances: Mapping[str, float]
-) -> Point:
+def _best_curve(
+    found: SearchResult,
+    before: nonparametric.RemainingDependence,
+    after: nonparametric.RemainingDependence,
+    chances: Mapping[str, float],
+) -> Fit:
     """The first model with the term of no known shape that serves it best; by itself where the names leave it nothing.
 
     `before` and `after` are what the first model and the last one lack, `chances` by which the names foretell. The
@@ -140,53 +139,66 @@ def _nameless(
     bases, left = [first], [before]
     if last.structure != first.structure:
         named, _ = _probabilities(found)
-        likely = all(named[e] > LIKELY for e in last.structure.named if e not in first.structure)
-        plain = all(chance < cross_validation.PLAIN for chance in chances.values())
-        if likely and plain and after.share < FAINT and nonparametric.removed(before, after) >= before.share:
+        likely = all(named[e] > thresholds.LIKELY_NAME for e in last.structure.named if e not in first.structure)
+        plain = all(chance < thresholds.NAME_CLEAR_P_VALUE for chance in chances.values())
+        if (
+            likely
+            and plain
+            and after.share < thresholds.FAINT_SHARE
+            and nonparametric.share_removed(before, after) >= before.share
+        ):
             return first
         bases.append(replace(first, values={n: last.values.get(n, v) for n, v in first.values.items()}))
         left.append(after)
     speed = found.cases[0].drive.speed
     # Several recordings of speed begin at angles that nobody knows.
     several = speed and len(found.cases) > 1
-    strange = [k for k in TERMS if several and "position" in EFFECTS[f"unknown_{k}"].depends_on]
-    shown = [t for one in left for t in nonparametric.which_terms(one) if t.kind not in strange]
-    always = [Term(k) for k in ALWAYS if not (k == "position" and speed)]
+    strange = [k for k in TERM_KINDS if several and "position" in EFFECTS[f"unknown_{k}"].depends_on]
+    shown = [t for one in left for t in nonparametric.candidate_terms(one) if t.kind not in strange]
+    always = [CurveTerm(k) for k in ALWAYS_TRIED if not (k == "position" and speed)]
     terms = dict.fromkeys((*shown, *always))
-    tried = each(lambda pair: nonparametric.sketch(found.cases, *pair), itertools.product(bases, terms))
-    fits = each(lambda p: nonparametric.finish(found.cases, p), sorted(tried, key=lambda p: p.deviance)[:SKETCHES])
+    tried = each(lambda pair: nonparametric.sketch_curve(found.cases, *pair), itertools.product(bases, terms))
+    fits = each(
+        lambda p: nonparametric.fit_curve(found.cases, p),
+        sorted(tried, key=lambda p: p.deviance)[: thresholds.MAX_CURVES],
+    )
     # What the first model lacked may have led its gap and teeth far astray; what is far behind the names stays there.
     near = [
         p
         for p in fits
-        if model_comparison.earned(first, p) > 0.0 and model_comparison.ahead(last, p) < model_comparison.LEAST
+        if model_comparison.gain(first, p) > 0.0
+        and model_comparison.criterion_difference(last, p) < thresholds.MIN_GAIN
     ]
-    promising = [p for p in near if plausible(found.cases, p, first)]
+    promising = [p for p in near if is_plausible(found.cases, p, first)]
     if not promising:
         return first
     # A curve over time follows whatever happened once: of several, what comes again is the better one.
     chosen = promising[0]
     if len(promising) > 1:
-        chosen = min(promising, key=lambda p: cross_validation.chance(found.cases, first, p))
-    return nonparametric.relocated(found.cases, chosen)
+        chosen = min(promising, key=lambda p: cross_validation.gain_p_value(found.cases, first, p))
+    return nonparametric.restart_curve_gap(found.cases, chosen)
 
 
-def _learned(found: Search, nameless: Point) -> Search:
+def _restart_from_curve(found: SearchResult, nameless: Fit) -> SearchResult:
     """The search, its last model from where a curve stands that does more in all that both share: gap and teeth were
     looked for anew beside the curve, and what they are worth is not the curve's. Rivals begin there, too.
     """
     last = found.last
-    if not model_comparison.earns(last, nameless):
+    if not model_comparison.is_significant(last, nameless):
         return found
     begun = {**last.values, **{n: nameless.values[n] for n in last.free if n in nameless.free}}
     # Which side of the gap a torque acts on decides how it is crossed: from the wrong one no slope leads to the other.
     sides = [begun, *({**begun, "shaft_share": side} for side in (0.0, 1.0) if "shaft_share" in last.free)]
-    other = local_optima.highest(found.cases, last.structure, sides, local_optima.kept(last), last.density)
+    other = local_optima.best_refit(
+        found.cases, last.structure, sides, local_optima.held_values(last), last.process_noise
+    )
     best = min(last, other, key=lambda p: p.deviance)
-    return found if best is last else forward_selection.renewed(found, best)
+    return found if best is last else forward_selection.with_last_model(found, best)
 
 
-def _outdone(found: Search, nameless: Point, left: Sequence[nonparametric.Leftover]) -> bool:
+def _curve_replaces_names(
+    found: SearchResult, nameless: Fit, left: Sequence[nonparametric.RemainingDependence]
+) -> bool:
     """Whether what has no name is what a recording speaks for: it does more than the names, which beside it do nothing.
 
     Where the missing torque of neither model, `left`, goes with anything, it has to foretell what it was not fitted to;
@@ -200,27 +212,37 @@ def _outdone(found: Search, nameless: Point, left: Sequence[nonparametric.Leftov
     if curve_substitution.is_ripple(found.last, nameless):
         return False
     new = [EFFECTS[i] for i in found.last.structure.named if i not in found.first.structure]
-    certain = not new and left[0].p_value < CERTAIN and model_comparison.earned(found.last, nameless) > 0.0
-    earns = model_comparison.earns(found.last, nameless)
+    certain = (
+        not new
+        and left[0].p_value < thresholds.CERTAIN_DEPENDENCE_P_VALUE
+        and model_comparison.gain(found.last, nameless) > 0.0
+    )
+    earns = model_comparison.is_significant(found.last, nameless)
     if not (earns or certain):
         return False
     follows = "unknown_velocity" in nameless.structure and all(e.slot == "grip" for e in new)
-    if new and follows and left[1].size < DRY * left[0].size:
+    if new and follows and left[1].size < thresholds.DRY_FRICTION_SHARE * left[0].size:
         return False
-    goes = any(one.p_value < nonparametric.SURE for one in left) and selection_round.shows(
+    goes = any(one.p_value < thresholds.DEPENDENCE_MAX_P_VALUE for one in left) and selection_round.is_confirmed(
         found.cases, found.last, nameless
     )
-    if not (goes and earns) and cross_validation.chance(found.cases, found.last, nameless) > cross_validation.SURE:
+    if (
+        not (goes and earns)
+        and cross_validation.gain_p_value(found.cases, found.last, nameless) > thresholds.CURVE_MAX_P_VALUE
+    ):
         return False
-    return model_comparison.ahead(_beside(found, nameless), nameless) <= len(new) * model_comparison.LEAST
+    return (
+        model_comparison.criterion_difference(_fit_names_beside_curve(found, nameless), nameless)
+        <= len(new) * thresholds.MIN_GAIN
+    )
 
 
-def _drawn(found: Search, nameless: Point) -> Search:
+def _with_curve(found: SearchResult, nameless: Fit) -> SearchResult:
     """The search, ended with what has no name in the place of all names."""
-    return replace(found, last=nameless, rounds=found.rounds[:1], lesser=(), swaps=())
+    return replace(found, last=nameless, rounds=found.rounds[:1], smaller_models=(), alternatives=())
 
 
-def _kept(found: Search, nameless: Point, verdict: str) -> tuple[Search, str]:
+def _keep_or_replace(found: SearchResult, nameless: Fit, verdict: str) -> tuple[SearchResult, str]:
     """What becomes of the model, and the verdict, where this one was passed on what is left of the missing torque.
 
     Names that leave most of it give way to a curve that predicts better. A curve that has not earned its place, or does
@@ -228,13 +250,16 @@ def _kept(found: Search, nameless: Point, verdict: str) -> tuple[Search, str]:
     """
     if verdict != "unexplained":
         return found, verdict
-    if model_comparison.earns(found.first, nameless) and model_comparison.ahead(nameless, found.last) >= 0.0:
-        return _drawn(found, nameless), verdict
+    if (
+        model_comparison.is_significant(found.first, nameless)
+        and model_comparison.criterion_difference(nameless, found.last) >= 0.0
+    ):
+        return _with_curve(found, nameless), verdict
     more = set(found.last.structure.named) - set(found.first.structure.named)
     return found, "partly_explained" if more else verdict
 
 
-def _beside(found: Search, nameless: Point) -> Point:
+def _fit_names_beside_curve(found: SearchResult, nameless: Fit) -> Fit:
     """What has no name, and the names grown from nothing beside it; by itself where nothing was named."""
     last, first = found.last, found.first
     both = nameless.structure.with_(*last.structure.ids)
@@ -242,20 +267,24 @@ def _beside(found: Search, nameless: Point) -> Point:
         return nameless
     new = [p for e in last.structure.effects if e not in first.structure.effects for p in e.parameters]
     nothing = {p.name: p.neutral for p in new if p.neutral is not None}
-    mine, kept = preparation.with_steps(found.cases, both), [n for n in last.free if n not in first.free]
-    begun = preparation.completed(both, {**last.values, **nameless.values, **nothing})
-    return likelihood.climb(mine, both, begun, nameless.density, tuple(dict.fromkeys((*nameless.free, *kept))))
+    mine, kept = preparation.with_internal_step(found.cases, both), [n for n in last.free if n not in first.free]
+    begun = preparation.complete_values(both, {**last.values, **nameless.values, **nothing})
+    return likelihood.levenberg_marquardt(
+        mine, both, begun, nameless.process_noise, tuple(dict.fromkeys((*nameless.free, *kept)))
+    )
 
 
-def _foreseeing(found: Search) -> tuple[list[Case], Point]:
+def _fit_with_longest_memory(found: SearchResult) -> tuple[list[PreparedRecording], Fit]:
     """The last model with the longest memory that it bears, and the cases as they are judged by what it foresees: by a
     filter that forgets no faster, or the slow torques that it was chosen by would be nothing to it.
     """
-    sharp = local_optima.sharpened(found.cases, found.last)
-    return multistart.foreseen(preparation.with_steps(found.cases, sharp.structure), sharp, most=sharp.density)
+    sharp = local_optima.with_longer_memory(found.cases, found.last)
+    return multistart.refit_with_contact_mask(
+        preparation.with_internal_step(found.cases, sharp.structure), sharp, most=sharp.process_noise
+    )
 
 
-def _idle(cases: Sequence[Case], sharp: Point, first: Structure) -> list[str]:
+def _idle_names(cases: Sequence[PreparedRecording], sharp: Fit, first: Structure) -> list[str]:
     """The names beyond the first model that do nothing: without their size, and all else as it is, `sharp` is as
     likely.
     """
@@ -265,88 +294,98 @@ def _idle(cases: Sequence[Case], sharp: Point, first: Structure) -> list[str]:
         if size is None or size.neutral is None:
             continue
         values = {**sharp.values, size.name: size.neutral}
-        without = likelihood.evaluate(cases, sharp.structure, values, sharp.density)
-        if without.deviance - sharp.deviance < model_comparison.PRICE:
+        without = likelihood.evaluate(cases, sharp.structure, values, sharp.process_noise)
+        if without.deviance - sharp.deviance < thresholds.PENALTY_PER_PARAMETER:
             out.append(page.id)
     return out
 
 
-def _chances(found: Search, first: Structure) -> dict[str, float]:
+def _name_p_values(found: SearchResult, first: Structure) -> dict[str, float]:
     """By what chance each name beyond the first model would foretell as well were there nothing to it: bounces that
     happened to fall its way may have earned it its place. Names of which too little is known to tell have none.
     """
     out = {}
     for effect in (i for i in found.last.structure.named if i not in first):
-        without = [q for q in found.lesser if effect not in q.structure]
+        without = [q for q in found.smaller_models if effect not in q.structure]
         if without:
-            gains = cross_validation.gains(found.cases, min(without, key=lambda q: q.deviance), found.last)
+            gains = cross_validation.block_gains(found.cases, min(without, key=lambda q: q.deviance), found.last)
             # A few seconds tell nothing either way.
-            if np.count_nonzero(gains) >= cross_validation.LEAST:
-                out[effect] = cross_validation.by_chance(gains)
+            if np.count_nonzero(gains) >= thresholds.MIN_BLOCKS:
+                out[effect] = cross_validation.p_value_of_gains(gains)
     return out
 
 
-def _lasting(found: Search, first: Structure) -> tuple[Search, tuple[list[Case], Point], dict[str, float]]:
+def _drop_unpredictive_names(
+    found: SearchResult, first: Structure
+) -> tuple[SearchResult, tuple[list[PreparedRecording], Fit], dict[str, float]]:
     """The search without the names of its last model that foretell nothing, and those that a filter makes nothing of
     which remembers for as long as that model bears: what is there acts for longer than a bounce. What that filter
     foresees, and by what chance the names that last would foretell as well were there nothing to them.
     """
     while True:
-        foreseen = _foreseeing(found)
-        idle, chances = _idle(*foreseen, first), dict[str, float]()
+        foreseen = _fit_with_longest_memory(found)
+        idle, chances = _idle_names(*foreseen, first), dict[str, float]()
         if not idle:
-            chances = _chances(found, first)
+            chances = _name_p_values(found, first)
             # Of two that do the same neither foretells anything beside the other: one goes, the other is asked anew.
             worst = max(chances, key=lambda e: chances[e], default="")
-            idle = [worst] if worst and chances[worst] > cross_validation.IDLE else []
+            idle = [worst] if worst and chances[worst] > thresholds.NAME_MAX_P_VALUE else []
         if not idle:
             return found, foreseen, chances
-        found = forward_selection.less(found, idle, foreseen[1].values)
+        found = forward_selection.drop_effects(found, idle, foreseen[1].values)
 
 
-def _next(found: Search) -> Experiment:
+def _next_experiment(found: SearchResult) -> Experiment:
     """The input that would tell the closest rivals apart, or fix what is known worst."""
-    cases = preparation.with_steps(found.cases, found.last.structure)
-    close = [w.point for w in found.swaps if model_comparison.ahead(found.last, w.point) < model_comparison.UNSURE]
-    near = sorted(close, key=lambda p: model_comparison.behind(p, found.last))[:1]
+    cases = preparation.with_internal_step(found.cases, found.last.structure)
+    close = [
+        w.point
+        for w in found.alternatives
+        if model_comparison.criterion_difference(found.last, w.point) < thresholds.UNDECIDED_MARGIN
+    ]
+    near = sorted(close, key=lambda p: model_comparison.criterion_difference_penalised(p, found.last))[:1]
     try:
-        return experiment_design.separate([found.last, *near], cases)
+        return experiment_design.design_for_discrimination([found.last, *near], cases)
     except (BadInput, np.linalg.LinAlgError) as error:
         return Experiment(why=f"no experiment was designed: {error}")
 
 
-def _telling(found: Search) -> tuple[Case, nonparametric.Leftover]:
+def _worst_recording(found: SearchResult) -> tuple[PreparedRecording, nonparametric.RemainingDependence]:
     """The recording in which the first model lacks most, the longest if it lacks nothing, and what it lacks there."""
-    judged = [(c, nonparametric.leftover(c, found.first.structure, found.first.values)) for c in found.cases]
-    return max(judged, key=lambda j: (j[1].size if nonparametric.is_left(j[1]) else 0.0, float(j[0].drive.time[-1])))
+    judged = [
+        (c, nonparametric.remaining_dependence(c, found.first.structure, found.first.values)) for c in found.cases
+    ]
+    return max(
+        judged, key=lambda j: (j[1].size if nonparametric.is_dependence_left(j[1]) else 0.0, float(j[0].drive.time[-1]))
+    )
 
 
-def _lacking(found: Search, telling: Case) -> list[str]:
+def _other_recordings_left(found: SearchResult, telling: PreparedRecording) -> list[str]:
     """The recordings beside the telling one in which the last model lacks something that goes with something."""
     last, others = found.last, [c for c in found.cases if c is not telling]
-    left = [(c, nonparametric.leftover(c, last.structure, last.values)) for c in others]
-    return [c.recording.name for c, one in left if nonparametric.is_left(one)]
+    left = [(c, nonparametric.remaining_dependence(c, last.structure, last.values)) for c in others]
+    return [c.recording.name for c, one in left if nonparametric.is_dependence_left(one)]
 
 
-def _searched(
+def _split_and_search(
     recordings: Sequence[Recording], first: Structure, held: Mapping[str, float], candidates: Sequence[str],
     progress: Progress | None,
-) -> tuple[list[Recording], list[Part], Search, list[str]]:  # fmt: skip
+) -> tuple[list[Recording], list[HoldoutPart], SearchResult, list[str]]:  # fmt: skip
     """What was fitted, what is held out, what was found, and sentences on what held-out data alone show.
 
     Where the end of a lone recording shows what nothing before it can teach, the middle is held out instead.
     """
 
-    def looked(where: tuple[float, float]) -> tuple[list[Recording], list[Part], Search, list[str]]:
+    def looked(where: tuple[float, float]) -> tuple[list[Recording], list[HoldoutPart], SearchResult, list[str]]:
         train, held_out = holdout.split(recordings, where)
-        found = forward_selection.find(train, first, held, candidates, progress)
-        return train, held_out, found, holdout.unseen(found.cases, found.last, held_out)
+        found = forward_selection.search(train, first, held, candidates, progress)
+        return train, held_out, found, holdout.physics_only_in_holdout(found.cases, found.last, held_out)
 
-    train, held_out, found, shown = looked(holdout.END)
+    train, held_out, found, shown = looked(holdout.END_PART)
     said = []
     if shown and not held_out[0].whole:
         said = [f"{s} So the middle was held out instead, and the search begun anew." for s in shown]
-        train, held_out, found, shown = looked(holdout.MIDDLE)
+        train, held_out, found, shown = looked(holdout.MIDDLE_PART)
     return train, held_out, found, said + [f"{s} Fit a recording in which it acts." for s in shown]
 
 
@@ -375,52 +414,55 @@ def diagnose(
         seconds[stage] = seconds.get(stage, 0.0) + now - clock
         clock = now
 
-    train, held_out, found, said = _searched(recordings, first, held, candidates, progress)
-    found, foreseen, chances = _lasting(found, first)
+    train, held_out, found, said = _split_and_search(recordings, first, held, candidates, progress)
+    found, foreseen, chances = _drop_unpredictive_names(found, first)
     seen = found.last
     lap("search")
-    case, lacking = _telling(found)
+    case, lacking = _worst_recording(found)
     # By the name that the user knows: what was fitted may have been cut where the rest is held out.
     telling = to_fit(recordings)[list(found.cases).index(case)].name
-    left = [lacking, nonparametric.leftover(case, found.last.structure, found.last.values)]
+    left = [lacking, nonparametric.remaining_dependence(case, found.last.structure, found.last.values)]
     tell("trying shapes without a name", 0.85)
-    nameless = _nameless(found, left[0], left[1], chances)
-    learned = _learned(found, nameless)
+    nameless = _best_curve(found, left[0], left[1], chances)
+    learned = _restart_from_curve(found, nameless)
     if learned is not found:
-        found, left[1] = learned, nonparametric.leftover(case, learned.last.structure, learned.last.values)
+        found, left[1] = learned, nonparametric.remaining_dependence(case, learned.last.structure, learned.last.values)
     named = bool(set(found.last.structure.named) - set(first.named))
-    if _outdone(found, nameless, left):
-        found, verdict = _drawn(found, nameless), "unexplained"
-    elif drawn := curve_substitution.redrawn(found.cases, first, found.last):
+    if _curve_replaces_names(found, nameless, left):
+        found, verdict = _with_curve(found, nameless), "unexplained"
+    elif drawn := curve_substitution.best_substitution(found.cases, first, found.last):
         said.append(drawn.says)
-        found = replace(found, last=drawn.curve, lesser=(), swaps=())
+        found = replace(found, last=drawn.curve, smaller_models=(), alternatives=())
         verdict = "partly_explained" if set(found.last.structure.named) - {*first.named, *UNKNOWN} else "unexplained"
     else:
-        found, verdict = _kept(found, nameless, nonparametric.verdict(named, *left))
-    others = _lacking(found, case) if verdict == "explained" else ()
+        found, verdict = _keep_or_replace(found, nameless, nonparametric.verdict_of_dependence(named, *left))
+    others = _other_recordings_left(found, case) if verdict == "explained" else ()
     if others:
         verdict = "partly_explained"
         said.append(f"What is left of the missing torque in {', '.join(others)} goes with something still.")
     lap("term without a name")
     tell("fitting both models to the end", 0.87)
-    judged, last_point = foreseen if found.last is seen else _foreseeing(found)
+    judged, last_point = foreseen if found.last is seen else _fit_with_longest_memory(found)
     # Of a model without the right physics nobody can say what it would have to foresee.
-    first_point = local_optima.sharpened(found.cases, found.first)
+    first_point = local_optima.with_longer_memory(found.cases, found.first)
     before = after = maximum_likelihood.to_model(judged, last_point, train, held)
     if first_point.structure == last_point.structure:
         first_point = last_point
     else:
         before = maximum_likelihood.to_model(found.cases, first_point, train, held)
     missing = [
-        residual_torque.missing_torque(preparation.with_steps([case], p.structure)[0], p.structure, p.values)
+        residual_torque.missing_torque(preparation.with_internal_step([case], p.structure)[0], p.structure, p.values)
         for p in (first_point, last_point)
     ]
-    shapes = [tuple(residual_torque.shapes(m)) for m in missing]
+    shapes = [tuple(residual_torque.torque_shapes(m)) for m in missing]
     lap("locate")
     tell("checking on held-out data through the FMU", 0.9)
-    runs = [*(("train", Part(r)) for r in train), *(("holdout", p) for p in held_out)]
+    runs = [*(("train", HoldoutPart(r)) for r in train), *(("holdout", p) for p in held_out)]
     shown = holdout.traces(before, after, runs, closed)
-    white = [_white(preparation.with_steps(found.cases, p.structure), p) for p in (first_point, last_point)]
+    white = [
+        _whiteness_p_value(preparation.with_internal_step(found.cases, p.structure), p)
+        for p in (first_point, last_point)
+    ]
     fit = {
         role: {
             when: _fitness([t for t in shown if t.role == role], when, white[i] if role == "train" else math.nan)
@@ -431,7 +473,7 @@ def diagnose(
     lap("held-out check through FMPy")
     findings = _findings(found, after, first)
     tell("designing the next experiment", 0.95)
-    designed = _next(found)
+    designed = _next_experiment(found)
     lap("next experiment")
     added = [*(f.id for f in findings), *(i for i in after.structure.ids if i in UNKNOWN)]
     depends = tuple(EFFECTS[added[0]].depends_on) if added else left[0].variables
@@ -460,7 +502,7 @@ def diagnose(
     )
 
 
-def _remarks(found: Search, fit: Mapping[str, Mapping[str, Fitness]]) -> list[str]:
+def _remarks(found: SearchResult, fit: Mapping[str, Mapping[str, Fitness]]) -> list[str]:
     """Where the criteria disagree, and where none of them says much."""
     said = []
     held_out = fit["holdout"]
@@ -471,12 +513,12 @@ def _remarks(found: Search, fit: Mapping[str, Mapping[str, Fitness]]) -> list[st
             "treat what was added with care."
         )
     said += [
-        f"{c.recording.name}: in {100.0 * c.rattling.mean():.0f} % of what was fitted the input turns so often that "
+        f"{c.recording.name}: in {100.0 * c.rattle_mask.mean():.0f} % of what was fitted the input turns so often that "
         "motor and link come to no rest against each other: that is followed, but nothing is concluded from it."
         for c in found.cases
-        if c.rattling is not None and c.rattling.mean() >= 0.005
+        if c.rattle_mask is not None and c.rattle_mask.mean() >= 0.005
     ]
-    if maximum_likelihood.roughness(found.cases, found.last) > model_comparison.LEAST * model_comparison.worth(
+    if maximum_likelihood.roughness(found.cases, found.last) > thresholds.MIN_GAIN * model_comparison.overdispersion(
         [found.last]
     ):
         said.append(

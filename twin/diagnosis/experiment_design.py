@@ -34,13 +34,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnosis import model_comparison
+from twin.diagnosis import model_comparison, thresholds
 from twin.diagnosis.result import Experiment
 from twin.effects import knots
 from twin.effects.catalogue import EFFECTS
 from twin.errors import BadInput
 from twin.estimation import likelihood
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import EVERYTHING, Structure
 from twin.simulation import kernel
@@ -52,22 +52,22 @@ Signal = tuple[Piece, ...]
 
 #: Log-likelihood that is asked of an input, in units of what it is worth: half as much again as a verdict of 99 to 1
 #: takes, since no rig is quite the model that the input is designed on.
-NEEDED = 1.5 * model_comparison.TEMPER * math.log(99.0)
+NEEDED_LOG_LIKELIHOOD = 1.5 * thresholds.TEMPERATURE * math.log(99.0)
 #: Relative standard error at which a parameter counts as known, and the one that a model brings to its first recording.
-_KNOWN, _UNKNOWN = 0.02, 10.0
-_LONGEST = 30.0  # s, where the user sets no limit
-_SHORTEST = 2.0  # s: a verdict should not hang on one edge or one gap crossing, which no model has quite right
-_SAFETY = 1.5  # times what is needed: recordings differ by chance, rivals refit further than was foreseen
+_KNOWN_ERROR, _UNKNOWN_ERROR = 0.02, 10.0
+_MAX_DURATION = 30.0  # s, where the user sets no limit
+_MIN_DURATION = 2.0  # s: a verdict should not hang on one edge or one gap crossing, which no model has quite right
+_SAFETY_FACTOR = 1.5  # times what is needed: recordings differ by chance, rivals refit further than was foreseen
 _DESIGN_STEP = 0.004  # s; rivals part over many samples, finer ones cost time and say no more
-_CHECK = 0.2  # s between the moments at which a signal may be cut
-_RIVALS = 3  # the leader is separated from so many less one
-_TEMPI = (1.0, 0.6, 0.35, 0.2, 0.1)  # by which a block is shortened until it keeps within the travel
-_WORTH = 0.002  # of all that is needed: what a second must bring
-_TRUSTED = 0.9  # of the travel: models err, most of all where little more than the dead-band is overcome
-_SHORT_LIST = 8  # blocks that are looked at again after each refit
-_ROUNDS = 12  # of a refit
-_SIDES = (-1.0, 0.0, 1.0)  # of its gap on which the motor may stand when the signal begins
-_LOST = 1e3  # standard deviations that a reading is off where a run ended in no number
+_CHECK_INTERVAL = 0.2  # s between the moments at which a signal may be cut
+_MAX_RIVALS = 3  # the leader is separated from so many less one
+_TIME_SCALES = (1.0, 0.6, 0.35, 0.2, 0.1)  # by which a block is shortened until it keeps within the travel
+_MIN_RATE = 0.002  # of all that is needed: what a second must bring
+_TRUSTED_TRAVEL = 0.9  # of the travel: models err, most of all where little more than the dead-band is overcome
+_SHORT_LIST_SIZE = 8  # blocks that are looked at again after each refit
+_REFIT_STEPS = 12  # of a refit
+_GAP_SIDES = (-1.0, 0.0, 1.0)  # of its gap on which the motor may stand when the signal begins
+_LOST_DEVIATIONS = 1e3  # standard deviations that a reading is off where a run ended in no number
 _BOUNDS = {p.name: (p.lower, p.upper) for p in EVERYTHING.parameters}
 #: What counts only in proportion to a gain.
 _GAIN_OF = {
@@ -96,7 +96,7 @@ class Limits:
 
 
 @dataclass(frozen=True, eq=False)
-class _Bench:
+class _RigLimits:
     """The rig as far as the design needs it."""
 
     template: Recording
@@ -142,25 +142,25 @@ class _Evidence:
 class _Pair:
     """What is taken to be true, and the rival that predicts, whose parameters have moved to `values`."""
 
-    truth: Point
-    rival: Point
+    truth: Fit
+    rival: Fit
     values: dict[str, float]
 
     @cached_property
-    def unit(self) -> float:
+    def overdispersion(self) -> float:
         """What deviance counts for between the two, as in a verdict."""
-        return model_comparison.worth([self.truth, self.rival])
+        return model_comparison.overdispersion([self.truth, self.rival])
 
     @property
     def before(self) -> _Evidence:
         """What the present recordings say of the rival's values: a parabola in torques."""
         moved, bend = _as_torques(self.rival, self.values)
-        normal = self.rival.normal / self.unit
+        normal = self.rival.information / self.overdispersion
         pull = bend.T @ normal
         return _Evidence(float(moved @ normal @ moved), -pull @ moved, pull @ bend)
 
 
-def _as_torques(point: Point, values: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+def _as_torques(point: Fit, values: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
     """How far free parameters have moved (n,) from a fitted point, and the derivative of that (n, n).
 
     What a gain multiplies counts in proportion to it. Where recordings fix only the torque, a parabola in gain and
@@ -183,25 +183,25 @@ Shortfall = Callable[[Ledger], float]
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _SimulatedReading:
     """What a truth would have us read, and how much larger its own predictor's squared errors are than it thinks."""
 
-    case: Case
-    louder: FloatArray  # (N,), no less than 1
+    case: PreparedRecording
+    error_inflation: FloatArray  # (N,), no less than 1
 
-    def until(self, end: float) -> _Seen:
+    def until(self, end: float) -> _SimulatedReading:
         keep = self.case.drive.time <= end + 1e-9
         drive = self.case.drive
         cut = replace(drive, time=drive.time[keep], command=drive.command[keep], measured=drive.measured[keep])
-        return _Seen(replace(self.case, drive=cut), self.louder[keep])
+        return _SimulatedReading(replace(self.case, drive=cut), self.error_inflation[keep])
 
 
 @dataclass(frozen=True, eq=False)
-class _Trial:
+class _SimulatedSignal:
     """A signal that keeps within the travel, what each pair's truth would have us read, and what the rivals say."""
 
     signal: Signal
-    seen: tuple[_Seen, ...]
+    seen: tuple[_SimulatedReading, ...]
     safe: NDArray[np.bool_]  # at each check: the signal may end there
     evidence: tuple[list[_Evidence], ...]  # for each pair, up to each check
 
@@ -297,7 +297,7 @@ def _on_grid(signal: Signal, step: float) -> Signal:
     return tuple((max(round(length / step), 1) * step, a, b) for length, a, b in signal)
 
 
-def _cut(signal: Signal, end: float) -> Signal:
+def _cut_signal(signal: Signal, end: float) -> Signal:
     out: list[Piece] = []
     for length, a, b in signal:
         left = end - _length(tuple(out))
@@ -311,7 +311,7 @@ def _cut(signal: Signal, end: float) -> Signal:
 # ---- the rig ----
 
 
-def _recorded_band(cases: Iterable[Case]) -> tuple[float, float]:
+def _recorded_band(cases: Iterable[PreparedRecording]) -> tuple[float, float]:
     """Lowest and highest position in any recording; those of a speed recording count from its start."""
     low, high = math.inf, -math.inf
     for case in cases:
@@ -325,7 +325,7 @@ def _recorded_band(cases: Iterable[Case]) -> tuple[float, float]:
     return low, high
 
 
-def _bench(points: Sequence[Point], cases: Sequence[Case], limits: Limits) -> _Bench:
+def _rig_limits(points: Sequence[Fit], cases: Sequence[PreparedRecording], limits: Limits) -> _RigLimits:
     if not points or not cases:
         raise BadInput("an experiment is designed for at least one fitted model and the recordings it was fitted to")
     for name in ("input", "duration", "travel", "sample_time"):
@@ -344,8 +344,8 @@ def _bench(points: Sequence[Point], cases: Sequence[Case], limits: Limits) -> _B
     low, high = _recorded_band(cases)
     if limits.travel is not None:
         low, high = start - limits.travel, start + limits.travel
-    band = start + _TRUSTED * (low - start), start + _TRUSTED * (high - start)
-    bench = _Bench(
+    band = start + _TRUSTED_TRAVEL * (low - start), start + _TRUSTED_TRAVEL * (high - start)
+    bench = _RigLimits(
         template=cases[0].recording,
         reading_variance=float(np.median([c.reading_variance for c in cases])),
         contact_step=0.002 / max(p.structure.substeps for p in points) * (1.0 + 1e-9),
@@ -353,24 +353,28 @@ def _bench(points: Sequence[Point], cases: Sequence[Case], limits: Limits) -> _B
         step=sample_time * max(math.ceil(_DESIGN_STEP / sample_time - 1e-9), 1),
         lowest=lowest,
         highest=highest,
-        duration=_LONGEST if limits.duration is None else limits.duration,
+        duration=_MAX_DURATION if limits.duration is None else limits.duration,
         band=band,
         start=start,
     )
     return replace(bench, start=_resting_place(bench, points[0]))
 
 
-def _case(bench: _Bench, time: FloatArray, command: FloatArray, output: FloatArray, structure: Structure) -> Case:
+def _case(
+    bench: _RigLimits, time: FloatArray, command: FloatArray, output: FloatArray, structure: Structure
+) -> PreparedRecording:
     made = Recording(
         "experiment", time, command, output, bench.template.input_unit, bench.template.output_unit,
         known=bench.template.known,
     )  # fmt: skip
-    case = likelihood.prepare(made, structure)
+    case = likelihood.prepare_recording(made, structure)
     drive = replace(case.drive, longest=bench.contact_step)
     return replace(case, drive=drive, reading_variance=bench.reading_variance)
 
 
-def _free_run(bench: _Bench, point: Point, time: FloatArray, command: FloatArray) -> tuple[Case, FloatArray]:
+def _free_run(
+    bench: _RigLimits, point: Fit, time: FloatArray, command: FloatArray
+) -> tuple[PreparedRecording, FloatArray]:
     """What the model would have us read, as a recording, and its states (N, states)."""
     blank = np.zeros(len(time))
     case = _case(bench, time, command, blank, point.structure)
@@ -380,29 +384,31 @@ def _free_run(bench: _Bench, point: Point, time: FloatArray, command: FloatArray
     return _case(bench, time, command, run.reading, point.structure), run.states
 
 
-def _louder(bench: _Bench, point: Point, case: Case, checks: NDArray[np.int_]) -> FloatArray:
+def _error_inflation(bench: _RigLimits, point: Fit, case: PreparedRecording, checks: NDArray[np.int_]) -> FloatArray:
     """How much larger than it thinks the model's squared errors are on noisy recordings of itself, (N,), at least 1."""
     drive, p = case.drive, kernel.vector(point.structure, point.values)
     variance = bench.reading_variance * max(point.scale, 1e-12)
-    shake = math.sqrt(point.density * variance / bench.step) / max(abs(point.values.get("input_gain", 1.0)), 1e-12)
+    shake = math.sqrt(point.process_noise * variance / bench.step) / max(
+        abs(point.values.get("input_gain", 1.0)), 1e-12
+    )
     rng = np.random.default_rng(0)
     total = np.zeros(len(drive.time))
-    for side in _SIDES:
+    for side in _GAP_SIDES:
         # A drive inside its dead-band passes no noise on; one that stands still needs none.
         noise = np.where(drive.command != 0.0, shake * rng.standard_normal(len(drive.time)), 0.0)
         x = kernel.start_state(bench.start, 0.0, 0.5 * side * point.values.get("backlash_gap", 0.0))
         output = kernel.predict(replace(drive, command=drive.command + noise), p, x).reading
         read = output + math.sqrt(variance) * rng.standard_normal(len(output))
         noisy = replace(case, drive=replace(drive, measured=read))
-        run = likelihood.innovations(noisy, point.structure, point.values, point.density)
-        z = np.nan_to_num(np.abs(run.error) / np.sqrt(run.variance * max(point.scale, 1e-12)), nan=_LOST)
-        total += likelihood.robust_loss(z) / len(_SIDES)
+        run = likelihood.innovations(noisy, point.structure, point.values, point.process_noise)
+        z = np.nan_to_num(np.abs(run.error) / np.sqrt(run.variance * max(point.scale, 1e-12)), nan=_LOST_DEVIATIONS)
+        total += likelihood.huber_loss(z) / len(_GAP_SIDES)
     begins = np.concatenate([[0], checks[:-1] + 1])
     lengths = np.diff(np.append(begins, len(total)))
     return np.repeat(np.maximum(np.add.reduceat(total, begins) / lengths, 1.0), lengths)
 
 
-def _resting_place(bench: _Bench, point: Point) -> float:
+def _resting_place(bench: _RigLimits, point: Fit) -> float:
     """Where the axis comes to rest when it is left alone where the first recording began."""
     time = bench.step * np.arange(round(5.0 / bench.step), dtype=float)
     _, states = _free_run(bench, point, time, np.zeros(len(time)))
@@ -410,7 +416,7 @@ def _resting_place(bench: _Bench, point: Point) -> float:
     return place if bench.band[0] <= place <= bench.band[1] else bench.start
 
 
-def _safe(bench: _Bench, point: Point, states: FloatArray, checks: NDArray[np.int_]) -> NDArray[np.bool_]:
+def _is_within_travel(bench: _RigLimits, point: Fit, states: FloatArray, checks: NDArray[np.int_]) -> NDArray[np.bool_]:
     """At each check: the path so far keeps within the band, and so does the coasting from there."""
     low, high = bench.band
     slack = 1e-3 * (high - low) if math.isfinite(high - low) else 0.0
@@ -427,18 +433,18 @@ def _safe(bench: _Bench, point: Point, states: FloatArray, checks: NDArray[np.in
 
 def _checks(time: FloatArray) -> NDArray[np.int_]:
     """Index of the sample at each check, the last one included."""
-    count = max(round(float(time[-1]) / _CHECK), 1)
+    count = max(round(float(time[-1]) / _CHECK_INTERVAL), 1)
     return np.unique(np.searchsorted(time, np.linspace(0.0, float(time[-1]), count + 1)[1:] - 1e-9))
 
 
-def _evidence(seen: _Seen, pair: _Pair) -> list[_Evidence]:
+def _evidence(seen: _SimulatedReading, pair: _Pair) -> list[_Evidence]:
     """What the rival's predictor makes of what the truth would have us read, up to each check."""
     rival = pair.rival
-    run = likelihood.innovations(seen.case, rival.structure, pair.values, rival.density, rival.free)
-    deviation = np.sqrt(run.variance * max(rival.scale, 1e-12) * seen.louder * pair.unit)
+    run = likelihood.innovations(seen.case, rival.structure, pair.values, rival.process_noise, rival.free)
+    deviation = np.sqrt(run.variance * max(rival.scale, 1e-12) * seen.error_inflation * pair.overdispersion)
     z = run.error / deviation
     # Errors beyond the robust limit count linearly, as they will in the fit.
-    weight = np.sqrt(np.minimum(1.0, likelihood.ROBUST_LIMIT / np.maximum(np.abs(z), 1e-300)))
+    weight = np.sqrt(np.minimum(1.0, likelihood.HUBER_LIMIT / np.maximum(np.abs(z), 1e-300)))
     z, slopes = np.nan_to_num(z * weight), np.nan_to_num(run.slopes * (weight / deviation)[:, None])
     n, out, first = len(rival.free), [], 0
     total = _Evidence(0.0, np.zeros(n), np.zeros((n, n)))
@@ -450,24 +456,24 @@ def _evidence(seen: _Seen, pair: _Pair) -> list[_Evidence]:
     return out
 
 
-def _try(bench: _Bench, signal: Signal, pairs: Sequence[_Pair]) -> _Trial | None:
+def _simulate_signal(bench: _RigLimits, signal: Signal, pairs: Sequence[_Pair]) -> _SimulatedSignal | None:
     """Simulate each truth once, and let the rivals predict what it shows; None where a truth leaves the travel."""
     time, command = _sampled(signal, bench.step, bench.lowest, bench.highest)
     checks = _checks(time)
-    runs: dict[int, _Seen] = {}
+    runs: dict[int, _SimulatedReading] = {}
     safe = np.ones(len(checks), dtype=bool)
     for pair in pairs:
         if id(pair.truth) not in runs:
             case, states = _free_run(bench, pair.truth, time, command)
-            safe &= _safe(bench, pair.truth, states, checks)
+            safe &= _is_within_travel(bench, pair.truth, states, checks)
             if not safe[-1]:
                 return None
-            runs[id(pair.truth)] = _Seen(case, _louder(bench, pair.truth, case, checks))
+            runs[id(pair.truth)] = _SimulatedReading(case, _error_inflation(bench, pair.truth, case, checks))
     seen = tuple(runs[id(pair.truth)] for pair in pairs)
-    return _Trial(signal, seen, safe, tuple(_evidence(c, pair) for c, pair in zip(seen, pairs, strict=True)))
+    return _SimulatedSignal(signal, seen, safe, tuple(_evidence(c, pair) for c, pair in zip(seen, pairs, strict=True)))
 
 
-def _moved(pair: _Pair, total: _Evidence, damping: float) -> _Pair:
+def _damped_step(pair: _Pair, total: _Evidence, damping: float) -> _Pair:
     """The rival after a damped step within its bounds; none of its parameters loses more than half at once."""
     values, free = dict(pair.values), pair.rival.free
     here = np.array([values[n] for n in free])
@@ -487,12 +493,12 @@ def _moved(pair: _Pair, total: _Evidence, damping: float) -> _Pair:
     return replace(pair, values={**values, **dict(zip(free, map(float, there), strict=True))})
 
 
-def _climbed(seen: _Seen, pair: _Pair) -> tuple[_Pair, float]:
+def _climb_rival(seen: _SimulatedReading, pair: _Pair) -> tuple[_Pair, float]:
     """The rival where it explains the present recordings and the new one best (Levenberg-Marquardt), and how badly."""
     best, damping = pair, 1e-3
     total = best.before + _evidence(seen, best)[-1]
-    for _ in range(_ROUNDS):
-        trial = _moved(best, total, damping)
+    for _ in range(_REFIT_STEPS):
+        trial = _damped_step(best, total, damping)
         after = trial.before + _evidence(seen, trial)[-1]
         gained = total.squared - after.squared
         if gained > 0.0:
@@ -504,14 +510,14 @@ def _climbed(seen: _Seen, pair: _Pair) -> tuple[_Pair, float]:
     return best, total.squared
 
 
-def _refitted(seen: _Seen, pair: _Pair) -> _Pair:
+def _refit_rival(seen: _SimulatedReading, pair: _Pair) -> _Pair:
     """The better of two climbs: from where the rival is, and from what it shares with the truth."""
     shared = {n: pair.truth.values.get(n, v) for n, v in pair.values.items()}
-    climbs = [_climbed(seen, pair), _climbed(seen, replace(pair, values=shared))]
+    climbs = [_climb_rival(seen, pair), _climb_rival(seen, replace(pair, values=shared))]
     return min(climbs, key=lambda c: c[1])[0]
 
 
-def _blocks(bench: _Bench, point: Point) -> dict[str, list[Signal]]:
+def _blocks(bench: _RigLimits, point: Fit) -> dict[str, list[Signal]]:
     """Every block at all its tempi, the first as it should be, each also mirrored."""
     values = point.values
     gain, friction = values.get("input_gain", 1.0), max(values.get("viscous_friction", 0.0), 1e-3)
@@ -525,22 +531,22 @@ def _blocks(bench: _Bench, point: Point) -> dict[str, list[Signal]]:
     out: dict[str, list[Signal]] = {}
     for name, signal in library(lost, most, pace, turn).items():
         out[name] = []
-        for tempo in _TEMPI:
+        for tempo in _TIME_SCALES:
             quicker = _on_grid(tuple((tempo * length, a, b) for length, a, b in signal), bench.step)
             out[name] += [quicker, _mirrored(quicker)]
     return out
 
 
-def _sum(*ledgers: Ledger) -> tuple[_Evidence, ...]:
+def _sum_ledgers(*ledgers: Ledger) -> tuple[_Evidence, ...]:
     return tuple(sum(entries[1:], entries[0]) for entries in zip(*ledgers, strict=True))
 
 
-def _candidates(bench: _Bench, pairs: Sequence[_Pair]) -> list[_Trial]:
+def _feasible_blocks(bench: _RigLimits, pairs: Sequence[_Pair]) -> list[_SimulatedSignal]:
     """Each block at the slowest tempo that keeps within the travel and the duration."""
     found = []
     for variants in _blocks(bench, pairs[0].truth).values():
         fitting = (v for v in variants if _length(v) <= bench.duration + 1e-9)
-        tried = (_try(bench, v, pairs) for v in fitting)
+        tried = (_simulate_signal(bench, v, pairs) for v in fitting)
         if (first := next((t for t in tried if t is not None), None)) is not None:
             found.append(first)
     return found
@@ -552,59 +558,59 @@ class _Plan:
 
     pairs: tuple[_Pair, ...]
     ledger: tuple[_Evidence, ...]
-    trial: _Trial | None = None
+    trial: _SimulatedSignal | None = None
 
 
-def _planned(trial: _Trial, pairs: Sequence[_Pair], check: int = -1) -> _Plan:
+def _plan_with(trial: _SimulatedSignal, pairs: Sequence[_Pair], check: int = -1) -> _Plan:
     """The signal up to a check, with every rival refitted to it; a model is not refitted to itself."""
     time = trial.seen[0].case.drive.time
     end = float(time[_checks(time)[check]])
     seen = [s.until(end) for s in trial.seen]
-    moved = tuple(p if p.truth is p.rival else _refitted(c, p) for p, c in zip(pairs, seen, strict=True))
+    moved = tuple(p if p.truth is p.rival else _refit_rival(c, p) for p, c in zip(pairs, seen, strict=True))
     evidence = tuple(_evidence(c, p) for c, p in zip(seen, moved, strict=True))
-    cut = _Trial(_cut(trial.signal, end), tuple(seen), trial.safe[: len(evidence[0])], evidence)
-    return _Plan(moved, _sum([p.before for p in moved], cut.whole), cut)
+    cut = _SimulatedSignal(_cut_signal(trial.signal, end), tuple(seen), trial.safe[: len(evidence[0])], evidence)
+    return _Plan(moved, _sum_ledgers([p.before for p in moved], cut.whole), cut)
 
 
-def _compose(bench: _Bench, pairs: Sequence[_Pair], shortfall: Shortfall) -> _Plan:
+def _compose_signal(bench: _RigLimits, pairs: Sequence[_Pair], shortfall: Shortfall) -> _Plan:
     """The signal, block by block, whose evidence leaves the least to be wished for."""
     plan = _Plan(tuple(pairs), tuple(p.before for p in pairs))
-    blocks = _candidates(bench, pairs)
+    blocks = _feasible_blocks(bench, pairs)
     left = begin = shortfall(plan.ledger)
     while blocks and left > 0.0:
-        worth = [(left - shortfall(_sum(plan.ledger, b.whole))) / b.length for b in blocks]
+        worth = [(left - shortfall(_sum_ledgers(plan.ledger, b.whole))) / b.length for b in blocks]
         order = np.argsort(worth)[::-1]
         block, rate = blocks[order[0]], worth[order[0]]
-        if rate < _WORTH * begin:
+        if rate < _MIN_RATE * begin:
             break
         signal = block.signal if plan.trial is None else plan.trial.signal + block.signal
-        whole = _try(bench, signal, plan.pairs) if _length(signal) <= bench.duration + 1e-9 else None
-        longer = None if whole is None else _planned(whole, plan.pairs)
-        if longer is None or left - shortfall(longer.ledger) < max(0.2 * rate, _WORTH * begin) * block.length:
+        whole = _simulate_signal(bench, signal, plan.pairs) if _length(signal) <= bench.duration + 1e-9 else None
+        longer = None if whole is None else _plan_with(whole, plan.pairs)
+        if longer is None or left - shortfall(longer.ledger) < max(0.2 * rate, _MIN_RATE * begin) * block.length:
             blocks.remove(block)
             continue
         plan, left = longer, shortfall(longer.ledger)
-        short = [blocks[i] for i in order[:_SHORT_LIST]]
+        short = [blocks[i] for i in order[:_SHORT_LIST_SIZE]]
         blocks = [replace(b, evidence=tuple(map(_evidence, b.seen, plan.pairs))) for b in short]
-    return plan if left > 0.0 or plan.trial is None else _shortened(plan, pairs, shortfall)
+    return plan if left > 0.0 or plan.trial is None else _shorten_plan(plan, pairs, shortfall)
 
 
-def _shortened(plan: _Plan, pairs: Sequence[_Pair], shortfall: Shortfall) -> _Plan:
+def _shorten_plan(plan: _Plan, pairs: Sequence[_Pair], shortfall: Shortfall) -> _Plan:
     """The signal up to where it has told enough."""
     assert plan.trial is not None
     before = [p.before for p in plan.pairs]
     time = plan.trial.seen[0].case.drive.time
     times = time[_checks(time)]
-    for check in np.flatnonzero(plan.trial.safe & (times >= _SHORTEST))[:-1]:
-        if shortfall(_sum(before, [e[check] for e in plan.trial.evidence])) > 0.0:
+    for check in np.flatnonzero(plan.trial.safe & (times >= _MIN_DURATION))[:-1]:
+        if shortfall(_sum_ledgers(before, [e[check] for e in plan.trial.evidence])) > 0.0:
             continue
-        cut = _planned(plan.trial, pairs, int(check))
+        cut = _plan_with(plan.trial, pairs, int(check))
         if shortfall(cut.ledger) <= 0.0:
             return cut
     return plan
 
 
-def _played(bench: _Bench, signal: Signal, why: str, about: tuple[str, ...]) -> Experiment:
+def _to_experiment(bench: _RigLimits, signal: Signal, why: str, about: tuple[str, ...]) -> Experiment:
     time, command = _sampled(signal, bench.sample_time, bench.lowest, bench.highest)
     return Experiment(why, time, command, about)
 
@@ -612,14 +618,17 @@ def _played(bench: _Bench, signal: Signal, why: str, about: tuple[str, ...]) -> 
 # ---- the two questions ----
 
 
-def _distinct(a: Structure, b: Structure) -> str:
+def _difference_in_words(a: Structure, b: Structure) -> str:
     """What the first has that the second has not, in words."""
     names = [EFFECTS[i].title for i in a.named if i not in b]
     return " and ".join(names)
 
 
-def _tells(leader: Point, other: Point) -> str:
-    one, two = _distinct(leader.structure, other.structure), _distinct(other.structure, leader.structure)
+def _question(leader: Fit, other: Fit) -> str:
+    one, two = (
+        _difference_in_words(leader.structure, other.structure),
+        _difference_in_words(other.structure, leader.structure),
+    )
     if one and two:
         return f"tell {one} from {two}"
     if one or two:
@@ -627,63 +636,68 @@ def _tells(leader: Point, other: Point) -> str:
     return "tell the two sets of values apart"
 
 
-def _acting(point: Point) -> set[str]:
+def _acting_effects(point: Fit) -> set[str]:
     """The effects that a model has and that do anything in it."""
     return {e.id for e in point.structure.effects if not e.screen or point.values[e.screen.gain] != 0.0}
 
 
-def _pairs(rivals: Sequence[Point]) -> list[_Pair]:
+def _rival_pairs(rivals: Sequence[Fit]) -> list[_Pair]:
     """The leader against each other rival, both ways; no truth is asked for that the rival contains."""
     leader, both = rivals[0], []
-    for other in rivals[1:_RIVALS]:
+    for other in rivals[1:_MAX_RIVALS]:
         for truth, rival in ((leader, other), (other, leader)):
-            if truth.structure == rival.structure or not _acting(truth) <= set(rival.structure.ids):
+            if truth.structure == rival.structure or not _acting_effects(truth) <= set(rival.structure.ids):
                 both.append(_Pair(truth, rival, rival.values))
     return both
 
 
-def separate(rivals: Sequence[Point], cases: Sequence[Case], limits: Limits | None = None) -> Experiment:
+def design_for_discrimination(
+    rivals: Sequence[Fit], cases: Sequence[PreparedRecording], limits: Limits | None = None
+) -> Experiment:
     """The input that tells the first of the rivals, the likeliest, from the others.
 
     Rivals are fitted models in the order of their probability (the first three count), `cases` the recordings that
-    they were fitted to. With one rival, or others that add only what does nothing, the question is `sharpen`'s. The
-    input starts from rest and is as short as a verdict needs. What it promises holds as far as the physics that the
-    rivals share is right: with rigid teeth on a rig whose teeth give, far more is promised than comes
+    they were fitted to. With one rival, or others that add only what does nothing, `design_for_precision` answers
+    instead. The input starts from rest and is as short as a verdict needs. What it promises holds as far as the physics
+    that the rivals share is right: with rigid teeth on a rig whose teeth give, far more is promised than comes
     (scripts/experiment_study.py).
 
     Raises BadInput where the limits or the recordings leave no room for any input.
     """
     limits = limits or Limits()
-    bench = _bench(rivals[:_RIVALS], cases, limits)
-    pairs = _pairs(rivals)
+    bench = _rig_limits(rivals[:_MAX_RIVALS], cases, limits)
+    pairs = _rival_pairs(rivals)
     if not pairs:
-        return sharpen(rivals[0], cases, limits)
-    shown = [r.structure for r in rivals[:_RIVALS]]
+        return design_for_precision(rivals[0], cases, limits)
+    shown = [r.structure for r in rivals[:_MAX_RIVALS]]
 
     def shortfall(ledger: Ledger) -> float:
-        return sum(max(1.0 - e.divergence / (_SAFETY * NEEDED), 0.0) for e in ledger) / len(ledger)
+        return sum(max(1.0 - e.divergence / (_SAFETY_FACTOR * NEEDED_LOG_LIKELIHOOD), 0.0) for e in ledger) / len(
+            ledger
+        )
 
-    plan = _compose(bench, pairs, shortfall)
-    goal = " and to ".join(_tells(rivals[0], other) for other in rivals[1:_RIVALS])
+    plan = _compose_signal(bench, pairs, shortfall)
+    goal = " and to ".join(_question(rivals[0], other) for other in rivals[1:_MAX_RIVALS])
     if plan.trial is None:
         return Experiment(f"No input within these limits would {goal}; allow more input, travel or time.")
     margin = min(e.divergence for e in plan.ledger)
     seconds = f"{plan.trial.length:.1f} s of this input"
-    if margin >= NEEDED:
+    if margin >= NEEDED_LOG_LIKELIHOOD:
         why = (
             f"{seconds} should {goal}: the wrong model is expected to lose a log-likelihood of {margin:.0f} or more; "
-            f"{NEEDED:.0f} make a verdict safe."
+            f"{NEEDED_LOG_LIKELIHOOD:.0f} make a verdict safe."
         )
     else:
         why = (
             f"{seconds} go furthest within these limits to {goal}, but in the worst case the wrong model loses a "
-            f"log-likelihood of only {margin:.1f}. {NEEDED:.0f} make a verdict safe: allow more input, travel or time."
+            f"log-likelihood of only {margin:.1f}. {NEEDED_LOG_LIKELIHOOD:.0f} make a verdict safe: "
+            "allow more input, travel or time."
         )
-    told = dict.fromkeys(i for r in rivals[:_RIVALS] for i in r.structure.named if not all(i in o for o in shown))
-    return _played(bench, plan.trial.signal, why, tuple(told))
+    told = dict.fromkeys(i for r in rivals[:_MAX_RIVALS] for i in r.structure.named if not all(i in o for o in shown))
+    return _to_experiment(bench, plan.trial.signal, why, tuple(told))
 
 
-def _sizes(point: Point, bench: _Bench) -> FloatArray:
+def _parameter_scales(point: Fit, bench: _RigLimits) -> FloatArray:
     """What an error of each free parameter is compared with.
 
     Its value; but an angle's radian, a position's travel, and of what may well be zero no less than a fiftieth of the
@@ -705,23 +719,23 @@ def _sizes(point: Point, bench: _Bench) -> FloatArray:
 
 
 def _relative_errors(information: FloatArray) -> FloatArray:
-    """What information (n, n) leaves open of parameters that were known to within `_UNKNOWN` before, (n,).
+    """What information (n, n) leaves open of parameters that were known to within `_UNKNOWN_ERROR` before, (n,).
 
     What readings cannot tell apart leaves an eigenvalue that is only rounding, of either sign: it says nothing.
     """
     known, ways = np.linalg.eigh(information)
     told = np.where(known > len(known) * np.finfo(float).eps * known[-1], known, 0.0)
-    return np.asarray(np.sqrt(np.sum(ways**2 / (told + 1.0 / _UNKNOWN**2), axis=1)))
+    return np.asarray(np.sqrt(np.sum(ways**2 / (told + 1.0 / _UNKNOWN_ERROR**2), axis=1)))
 
 
-def sharpen(point: Point, cases: Sequence[Case], limits: Limits | None = None) -> Experiment:
+def design_for_precision(point: Fit, cases: Sequence[PreparedRecording], limits: Limits | None = None) -> Experiment:
     """The input that fixes the worst-known parameter of a fitted model, and the others as far as it can.
 
     Aims at relative standard errors of 2 %, or half of the worst one where all are known better than that. Raises
-    BadInput as `separate` does.
+    BadInput as `design_for_discrimination` does.
     """
-    bench = _bench([point], cases, limits or Limits())
-    sizes = _sizes(point, bench)
+    bench = _rig_limits([point], cases, limits or Limits())
+    sizes = _parameter_scales(point, bench)
     sought = np.array([i for i, n in enumerate(point.free) if n not in _NOT_SOUGHT], dtype=int)
     if len(sought) == 0:
         return Experiment("No parameter is left that an experiment could fix.")
@@ -732,14 +746,14 @@ def sharpen(point: Point, cases: Sequence[Case], limits: Limits | None = None) -
     pair = _Pair(point, point, point.values)
     before = errors([pair.before])
     worst = int(np.argmax(before))
-    target = min(_KNOWN, 0.5 * float(before[worst]))
+    target = min(_KNOWN_ERROR, 0.5 * float(before[worst]))
 
     def shortfall(ledger: Ledger) -> float:
         excess = np.log(np.maximum(errors(ledger) / target, 1.0))
         # The worst counts; the mean keeps the search moving where several are as bad.
         return float(excess.max() + 0.3 * excess.mean())
 
-    plan = _compose(bench, [pair], shortfall)
+    plan = _compose_signal(bench, [pair], shortfall)
     name = point.free[int(sought[worst])]
     parameters = {p.name: p for p in point.structure.parameters}
     axis = "rad" if bench.template.output_unit.startswith("rad") else "m"
@@ -755,10 +769,10 @@ def sharpen(point: Point, cases: Sequence[Case], limits: Limits | None = None) -
     if plan.trial is None:
         return Experiment(f"{known}; no input within these limits fixes it better. Allow more input, travel or time.")
     after = float(errors(plan.ledger)[worst])
-    fixed = before[worst] <= 0.5 * _UNKNOWN
+    fixed = before[worst] <= 0.5 * _UNKNOWN_ERROR
     was = f"its standard error is now {before[worst] * size:.2g}{unit}" if fixed else "this recording does not fix it"
     why = (
         f"{known}: {was}. {plan.trial.length:.1f} s of this input should bring the standard error to "
         f"{after * size:.2g}{unit}."
     )
-    return _played(bench, plan.trial.signal, why, (name,))
+    return _to_experiment(bench, plan.trial.signal, why, (name,))

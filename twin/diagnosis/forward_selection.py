@@ -1,5 +1,5 @@
 """Which effects a first model lacks: added one at a time, pruned, held against what is easily taken for them; and
-looked for once more with a filter that forgets as fast as the recording asks (`closer`).
+looked for once more with a filter that forgets as fast as the recording asks (`refine_with_short_memory`).
 """
 
 from __future__ import annotations
@@ -9,55 +9,44 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from twin.diagnosis import model_comparison, screening, selection_round, torque_regression
-from twin.diagnosis.plausibility import plausible
+from twin.diagnosis import model_comparison, screening, selection_round, thresholds, torque_regression
+from twin.diagnosis.plausibility import is_plausible
 from twin.diagnosis.selection_round import Hypothesis, Round
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.effects.end_stop import NOWHERE
 from twin.estimation import contact_masking, likelihood, local_optima, multistart, preparation
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 from twin.parallel import each
 
 Progress = Callable[[str, float], None]
-#: More effects than this at once are not looked for.
-MOST = 4
-#: So often at most is more looked for after one effect has taken another's place.
-TURNS = 2
-#: Dead-bands that differ by so many standard errors are not equal.
-CERTAIN = 3.0
-#: So often at most are meetings that a model foresees looked for, since another judgement moves the model.
-FORESEEN = 2
-#: A rival that had earned all but this share of what the winner did is tried in its place; and from so many of those in
-#: the first round the search begins anew.
-NARROW, SECONDS = 0.1, 2
 
 
 @dataclass(frozen=True, eq=False)
-class Swap:
+class Alternative:
     """The last model with a rival in the place of one of its effects, fitted."""
 
     effect: str
     rival: str
-    point: Point
+    point: Fit
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
+class SearchResult:
     """How a structure was arrived at: the first model, the last, the rounds between, the last less one effect, and the
     last with one effect exchanged for a rival that had come close to it, or for one that contains it.
     """
 
-    first: Point
-    last: Point
+    first: Fit
+    last: Fit
     rounds: tuple[Round, ...]
-    cases: tuple[Case, ...]
-    lesser: tuple[Point, ...] = ()
-    swaps: tuple[Swap, ...] = ()
+    cases: tuple[PreparedRecording, ...]
+    smaller_models: tuple[Fit, ...] = ()
+    alternatives: tuple[Alternative, ...] = ()
 
 
-def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
+def _smaller_structures(structure: Structure, keep: Structure) -> list[Structure]:
     """The structure less one effect each, with and without what that effect brought along."""
     out = []
     for effect in structure.named:
@@ -68,34 +57,38 @@ def _smaller(structure: Structure, keep: Structure) -> list[Structure]:
     return out
 
 
-def _fits(
-    cases: Sequence[Case], point: Point, held: Mapping[str, float], structures: Sequence[Structure]
-) -> list[Point]:
-    return each(lambda s: local_optima.settle(cases, s, point.values, held, point.density), structures)
+def _refits(
+    cases: Sequence[PreparedRecording], point: Fit, held: Mapping[str, float], structures: Sequence[Structure]
+) -> list[Fit]:
+    return each(lambda s: local_optima.refit(cases, s, point.values, held, point.process_noise), structures)
 
 
-def _fair(cases: Sequence[Case], point: Point, lesser: Sequence[Point], begun: Point) -> Point:
+def _best_smaller(cases: Sequence[PreparedRecording], point: Fit, lesser: Sequence[Fit], begun: Fit) -> Fit:
     """The best of the lesser fits whose lack does not matter, or the point itself.
 
     What a law misses of what it stands for must not pass for another effect.
     """
-    missed = model_comparison.LAX**2 * max(begun.deviance - point.deviance, 0.0)
-    fair = [q for q in lesser if plausible(cases, q, point) and not model_comparison.earns(q, point, missed)]
-    return min(fair, key=lambda q: model_comparison.criterion(q, model_comparison.worth([point])), default=point)
+    missed = thresholds.LAW_TOLERANCE**2 * max(begun.deviance - point.deviance, 0.0)
+    fair = [
+        q for q in lesser if is_plausible(cases, q, point) and not model_comparison.is_significant(q, point, missed)
+    ]
+    return min(
+        fair, key=lambda q: model_comparison.criterion(q, model_comparison.overdispersion([point])), default=point
+    )
 
 
-def _moved(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
+def _restart(cases: Sequence[PreparedRecording], point: Fit, held: Mapping[str, float]) -> Fit:
     """The point at the noise density that it asks for, gap and teeth looked for anew; as it was where that would bend
     an effect into something else.
     """
-    moved = local_optima.relocated(cases, local_optima.rejudged(cases, point, held), held)
-    return moved if plausible(cases, moved, point) else point
+    moved = local_optima.restart_gap(cases, local_optima.refit_at_own_noise(cases, point, held), held)
+    return moved if is_plausible(cases, moved, point) else point
 
 
-def _grown(
-    cases: Sequence[Case], best: Point, candidates: Sequence[str], held: Mapping[str, float], tell: Progress,
-    most: int = MOST,
-) -> tuple[Point, list[Round]]:  # fmt: skip
+def _add_effects(
+    cases: Sequence[PreparedRecording], best: Fit, candidates: Sequence[str], held: Mapping[str, float], tell: Progress,
+    most: int = thresholds.MAX_EFFECTS,
+) -> tuple[Fit, list[Round]]:  # fmt: skip
     """The model with up to so many effects that earn their place, one at a time; the rounds, of which the last may have
     added none.
     """
@@ -103,103 +96,111 @@ def _grown(
     known: list[Hypothesis] = []
     while len(rounds) < most and (open_ := [c for c in candidates if c not in best.structure]):
         tell(f"round {len(rounds) + 1}: trying {len(open_)} effects", 0.05 + 0.2 * len(rounds))
-        best = _moved(cases, best, held) if rounds else best
-        usual = selection_round.compete(cases, best, known, open_, held)
-        this = selection_round.slower(cases, usual, open_, held)
+        best = _restart(cases, best, held) if rounds else best
+        usual = selection_round.run_round(cases, best, known, open_, held)
+        this = selection_round.retry_with_long_memory(cases, usual, open_, held)
         if not this.won:
             best = this.before
             rounds.append(this)
             break
-        winner, best = this.rivals[0].point, _plainer(cases, this, held)
+        winner, best = this.rivals[0].point, _plain_winner(cases, this, held)
         known = [] if best is winner else [this.rivals[0]]
-        rounds.append(_bettered(this, best))
+        rounds.append(_with_better_fit(this, best))
         if this is not usual:
             # Over so long a memory others would earn by a bounce's chance what they must.
             break
     return best, rounds
 
 
-def _pruned(
-    cases: Sequence[Case], best: Point, begun: Point, held: Mapping[str, float]
-) -> tuple[Point, list[Point]]:  # fmt: skip
+def _prune(
+    cases: Sequence[PreparedRecording], best: Fit, begun: Fit, held: Mapping[str, float]
+) -> tuple[Fit, list[Fit]]:  # fmt: skip
     """The model without effects whose lack does not matter, and the smaller ones that it is held against."""
-    lesser: list[Point] = []
-    while fewer := _smaller(best.structure, begun.structure):
-        lesser = [*_fits(cases, best, held, fewer), begun]
-        less = _fair(cases, best, lesser, begun)
+    lesser: list[Fit] = []
+    while fewer := _smaller_structures(best.structure, begun.structure):
+        lesser = [*_refits(cases, best, held, fewer), begun]
+        less = _best_smaller(cases, best, lesser, begun)
         if less is best:
             break
         best = less
     return best, lesser
 
 
-def _unmet(cases: Sequence[Case], last: Point) -> Point:
+def _without_unmet_stops(cases: Sequence[PreparedRecording], last: Fit) -> Fit:
     """The model with a stop only on the side where one is met.
 
     Where nothing shows a stop it may stand at the furthest reading as well as anywhere beyond, and would be met by the
     next recording that goes further.
     """
-    mine, fits = preparation.with_steps(cases, last.structure), [last]
+    mine, fits = preparation.with_internal_step(cases, last.structure), [last]
     for stop, far in NOWHERE.items():
         if stop in last.free:
             free = tuple(n for n in last.free if n != stop)
-            fits.append(likelihood.climb(mine, last.structure, {**last.values, stop: far}, last.density, free))
-    return min(fits, key=lambda p: model_comparison.criterion(p, model_comparison.worth([last])))
+            fits.append(
+                likelihood.levenberg_marquardt(
+                    mine, last.structure, {**last.values, stop: far}, last.process_noise, free
+                )
+            )
+    return min(fits, key=lambda p: model_comparison.criterion(p, model_comparison.overdispersion([last])))
 
 
-def find(
+def search(
     recordings: Sequence[Recording],
     first: Structure,
     held: Mapping[str, float],
     candidates: Sequence[str] = CANDIDATES,
     progress: Progress | None = None,
-) -> Search:
+) -> SearchResult:
     """Add effects one at a time for as long as each earns its place, and look closer at what came of it."""
     tell = progress or (lambda sentence, share: None)
     tell("fitting the first model", 0.0)
-    cases, rough = multistart.start(recordings, first, held)
-    polished, fine = multistart.polish(cases, multistart.refine(cases, preparation.with_teeth(first), rough, held))
+    cases, rough = multistart.coarse_starts(recordings, first, held)
+    polished, fine = multistart.leave_local_optima(
+        cases, multistart.fit_from_starts(cases, preparation.with_tooth_compliance(first), rough, held)
+    )
     # What a model without the right physics cannot foresee may be what is looked for.
-    cases = contact_masking.judged_throughout(polished)
-    best = local_optima.settle(cases, first, fine.values, held, local_optima.judged(cases, fine))
-    candidates = screening.offered(cases, candidates)
-    found = _climbed(cases, best, (), first, candidates, held, tell)
-    for this in _seconds(cases, found, best.density):
+    cases = contact_masking.without_contact_mask(polished)
+    best = local_optima.refit(cases, first, fine.values, held, local_optima.judging_process_noise(cases, fine))
+    candidates = screening.testable_candidates(cases, candidates)
+    found = _search_from(cases, best, (), first, candidates, held, tell)
+    for this in _narrow_rounds(cases, found, best.process_noise):
         tell(f"beginning anew with {EFFECTS[this.rivals[0].added[0]].title}", 0.7)
-        start = _plainer(cases, this, held)
-        other = _climbed(cases, start, (_bettered(this, start),), first, candidates, held, lambda said, share: None)
-        found = _likelier(cases, found, other, held)
+        start = _plain_winner(cases, this, held)
+        other = _search_from(
+            cases, start, (_with_better_fit(this, start),), first, candidates, held, lambda said, share: None
+        )
+        found = _better_search(cases, found, other, held)
         if found.last is other.last:
             break
-    best, rounds = _unmet(cases, found.last), found.rounds
-    wider = _wider(cases, best, first, candidates, held, rounds)
-    best, swaps = _widened(cases, best, found.swaps, wider, held)
-    swaps = [*swaps, *_levelled(cases, best, candidates)]
+    best, rounds = _without_unmet_stops(cases, found.last), found.rounds
+    wider = _containing_alternatives(cases, best, first, candidates, held, rounds)
+    best, swaps = _prefer_containing(cases, best, found.alternatives, wider, held)
+    swaps = [*swaps, *_offset_for_dead_bands(cases, best, candidates)]
     tell("looking closer", 0.8)
-    return closer(replace(found, last=best, swaps=tuple(swaps)), held, candidates)
+    return refine_with_short_memory(replace(found, last=best, alternatives=tuple(swaps)), held, candidates)
 
 
-def _climbed(
-    cases: Sequence[Case], best: Point, rounds: Sequence[Round], first: Structure, candidates: Sequence[str],
+def _search_from(
+    cases: Sequence[PreparedRecording], best: Fit, rounds: Sequence[Round], first: Structure, candidates: Sequence[str],
     held: Mapping[str, float], tell: Progress,
-) -> Search:  # fmt: skip
+) -> SearchResult:  # fmt: skip
     """The search that grows from a model which these rounds led to."""
-    rounds, room = list(rounds), MOST - len(rounds)
-    for _ in range(TURNS):
-        grown, more = _grown(cases, best, candidates, held, tell, room)
+    rounds, room = list(rounds), thresholds.MAX_EFFECTS - len(rounds)
+    for _ in range(thresholds.MAX_REPLACEMENTS):
+        grown, more = _add_effects(cases, best, candidates, held, tell, room)
         rounds += more
         # What the last model is held against is judged as it is.
         start = rounds[0].before if rounds else grown
-        begun = local_optima.settle(cases, first, start.values, held, grown.density)
-        best, lesser, swaps = _weighed(cases, grown, begun, rounds, held)
-        begun = _likeliest(lesser, begun)
+        begun = local_optima.refit(cases, first, start.values, held, grown.process_noise)
+        best, lesser, swaps = _prune_and_exchange(cases, grown, begun, rounds, held)
+        begun = _best_of_structure(lesser, begun)
         # What was ousted, or did not last, may have stood before what would; but not where it did more than all others.
         if best.structure in (grown.structure, *(this.before.structure for this in rounds)):
             break
-    return Search(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
+    return SearchResult(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
 
 
-def _seconds(cases: Sequence[Case], found: Search, density: float) -> list[Round]:
+def _narrow_rounds(cases: Sequence[PreparedRecording], found: SearchResult, process_noise: float) -> list[Round]:
     """The first round, won by a rival instead: by each that shows, had earned about as much, or more, in units of its
     own, and neither contains the winner nor is contained in it.
 
@@ -207,77 +208,79 @@ def _seconds(cases: Sequence[Case], found: Search, density: float) -> list[Round
     times over. None where the round was not won with the density that the search began with, or was won on credit.
     """
     this = found.rounds[0] if found.rounds else None
-    if this is None or not this.won or this.before.density < density:
+    if this is None or not this.won or this.before.process_noise < process_noise:
         return []
     winner, *others = this.rivals
-    gain = model_comparison.earned(this.before, winner.point)
-    if gain <= model_comparison.LEAST:
+    gain = model_comparison.gain(this.before, winner.point)
+    if gain <= thresholds.MIN_GAIN:
         return []
-    least = max(model_comparison.LEAST, (1.0 - NARROW) * gain)
+    least = max(thresholds.MIN_GAIN, (1.0 - thresholds.NARROW_SHARE) * gain)
     apart = [
         h
         for h in others
         if winner.added[0] not in h.point.structure and h.added[0] not in {*winner.point.structure.ids, *this.refused}
     ]
-    gains = {h.added[0]: model_comparison.earned(this.before, h.point) for h in apart}
+    gains = {h.added[0]: model_comparison.gain(this.before, h.point) for h in apart}
     close = sorted((h for h in apart if gains[h.added[0]] > least), key=lambda h: -gains[h.added[0]])
-    shown = [h for h in close[:SECONDS] if selection_round.shows(cases, this.before, h.point)]
+    shown = [h for h in close[: thresholds.MAX_RESTARTS] if selection_round.is_confirmed(cases, this.before, h.point)]
     return [replace(this, rivals=(h, *(o for o in this.rivals if o is not h))) for h in shown]
 
 
-def _likelier(cases: Sequence[Case], one: Search, other: Search, held: Mapping[str, float]) -> Search:
+def _better_search(
+    cases: Sequence[PreparedRecording], one: SearchResult, other: SearchResult, held: Mapping[str, float]
+) -> SearchResult:
     """The search whose end the recordings speak for, both judged at one noise density; where both end in the same but
     for one effect each, with the other's as what could stand in its place.
     """
-    density = min(one.last.density, other.last.density)
+    process_noise = min(one.last.process_noise, other.last.process_noise)
 
-    def judged(end: Point) -> Point:
-        same = end.density == density
-        return end if same else local_optima.settle(cases, end.structure, end.values, held, density)
+    def judged(end: Fit) -> Fit:
+        same = end.process_noise == process_noise
+        return end if same else local_optima.refit(cases, end.structure, end.values, held, process_noise)
 
     ends = [(one, judged(one.last)), (other, judged(other.last))]
-    if model_comparison.behind(ends[1][1], ends[0][1]) < 0.0:
+    if model_comparison.criterion_difference_penalised(ends[1][1], ends[0][1]) < 0.0:
         ends.reverse()
     (kept, best), (_, lost) = ends
     if one.last.structure == other.last.structure:
-        return replace(one, last=best) if one.last.density == density else one
+        return replace(one, last=best) if one.last.process_noise == process_noise else one
     own, rival = ([i for i in a.structure.named if i not in b.structure] for a, b in ((best, lost), (lost, best)))
-    told = {(w.effect, w.rival) for w in kept.swaps}
+    told = {(w.effect, w.rival) for w in kept.alternatives}
     if len(own) == len(rival) == 1 and (own[0], rival[0]) not in told and kept.last is best:
-        return replace(kept, swaps=(*kept.swaps, Swap(own[0], rival[0], lost)))
+        return replace(kept, alternatives=(*kept.alternatives, Alternative(own[0], rival[0], lost)))
     return kept
 
 
-def _likeliest(lesser: Sequence[Point], begun: Point) -> Point:
+def _best_of_structure(lesser: Sequence[Fit], begun: Fit) -> Fit:
     """The likeliest of these with the structure of one of them."""
     return min((q for q in lesser if q.structure == begun.structure), key=lambda p: p.deviance, default=begun)
 
 
-def _weighed(
-    cases: Sequence[Case], grown: Point, begun: Point, rounds: Sequence[Round], held: Mapping[str, float]
-) -> tuple[Point, list[Point], list[Swap]]:  # fmt: skip
+def _prune_and_exchange(
+    cases: Sequence[PreparedRecording], grown: Fit, begun: Fit, rounds: Sequence[Round], held: Mapping[str, float]
+) -> tuple[Fit, list[Fit], list[Alternative]]:  # fmt: skip
     """The model that growing from another ended at, without effects whose lack does not matter and with a rival in the
     place of one if that now fits better; smaller models that it is held against; what could stand in an effect's place.
     """
-    best, lesser = _pruned(cases, grown, begun, held)
-    swaps = _swapped(cases, best, begun.structure, lesser, rounds, held)
-    better = min(swaps, key=lambda w: model_comparison.behind(w.point, best), default=None)
-    if better is None or model_comparison.behind(better.point, best) >= 0.0:
+    best, lesser = _prune(cases, grown, begun, held)
+    swaps = _alternatives(cases, best, begun.structure, lesser, rounds, held)
+    better = min(swaps, key=lambda w: model_comparison.criterion_difference_penalised(w.point, best), default=None)
+    if better is None or model_comparison.criterion_difference_penalised(better.point, best) >= 0.0:
         return best, lesser, swaps
     # The rival had lost beside what was still missing then; now it is the one that fits, and more may show.
-    last, lesser = _pruned(cases, better.point, _likeliest(lesser, begun), held)
-    return last, lesser, [Swap(better.rival, better.effect, best)] if better.rival in last.structure else []
+    last, lesser = _prune(cases, better.point, _best_of_structure(lesser, begun), held)
+    return last, lesser, [Alternative(better.rival, better.effect, best)] if better.rival in last.structure else []
 
 
 @dataclass(frozen=True, eq=False)
-class Contest:
+class RoundMargin:
     """How an effect won its place: by how much, and the rivals that lack it, each with how far behind it was."""
 
     gain: float
     rivals: tuple[tuple[Hypothesis, float], ...]
 
 
-def contest_of(rounds: Sequence[Round], last: Structure, effect: str) -> Contest:
+def round_margin(rounds: Sequence[Round], last: Structure, effect: str) -> RoundMargin:
     """The last round that was won and that an effect of the last model was in, at whatever place: what had lost to a
     rival may have taken its place since.
 
@@ -286,7 +289,7 @@ def contest_of(rounds: Sequence[Round], last: Structure, effect: str) -> Contest
     """
     for this in reversed(rounds):
         own = {
-            h.added[0]: model_comparison.criterion(h.point, this.unit)
+            h.added[0]: model_comparison.criterion(h.point, this.overdispersion)
             for h in this.rivals
             if effect in h.point.structure
         }
@@ -295,30 +298,34 @@ def contest_of(rounds: Sequence[Round], last: Structure, effect: str) -> Contest
             best = own.get(effect, min(own.values()))
             others = [h for h in this.rivals if effect not in h.point.structure and h.added[0] not in last]
             rivals = tuple(
-                (h, model_comparison.criterion(h.point, this.unit) - best)
+                (h, model_comparison.criterion(h.point, this.overdispersion) - best)
                 for h in others
                 if h.added[0] not in this.refused
             )
-            return Contest(model_comparison.criterion(this.before, this.unit) - best, rivals)
-    return Contest(0.0, ())
+            return RoundMargin(model_comparison.criterion(this.before, this.overdispersion) - best, rivals)
+    return RoundMargin(0.0, ())
 
 
-def shares(found: Search, effect: str) -> tuple[float, dict[str, float]]:
+def probability_shares(found: SearchResult, effect: str) -> tuple[float, dict[str, float]]:
     """What of all that is certain an effect of the last model has, and what each rival that could stand in its place;
     its absence has the rest.
     """
-    contest = contest_of(found.rounds, found.last.structure, effect)
+    contest = round_margin(found.rounds, found.last.structure, effect)
     against = {h.added[0]: max(short, 0.0) for h, short in contest.rivals}
-    against |= {w.rival: model_comparison.behind(w.point, found.last) for w in found.swaps if w.effect == effect}
-    without = [model_comparison.earned(q, found.last) for q in found.lesser if effect not in q.structure]
-    own, *others = model_comparison.weights([0.0, *against.values(), *([min(without)] if without else [])])
+    against |= {
+        w.rival: model_comparison.criterion_difference_penalised(w.point, found.last)
+        for w in found.alternatives
+        if w.effect == effect
+    }
+    without = [model_comparison.gain(q, found.last) for q in found.smaller_models if effect not in q.structure]
+    own, *others = model_comparison.model_probabilities([0.0, *against.values(), *([min(without)] if without else [])])
     return float(own), {rival: float(w) for rival, w in zip(against, others, strict=False)}
 
 
-def _swapped(
-    cases: Sequence[Case], last: Point, first: Structure, lesser: Sequence[Point], rounds: Sequence[Round],
+def _alternatives(
+    cases: Sequence[PreparedRecording], last: Fit, first: Structure, lesser: Sequence[Fit], rounds: Sequence[Round],
     held: Mapping[str, float],
-) -> list[Swap]:  # fmt: skip
+) -> list[Alternative]:  # fmt: skip
     """The last model with each effect exchanged for every rival that had come close to it; one that would do better has
     to show in its place.
 
@@ -326,8 +333,8 @@ def _swapped(
     """
     out = []
     for effect in last.structure.named:
-        contest = contest_of(rounds, last.structure, effect)
-        margin = max(model_comparison.UNSURE, NARROW * contest.gain)
+        contest = round_margin(rounds, last.structure, effect)
+        margin = max(thresholds.UNDECIDED_MARGIN, thresholds.NARROW_SHARE * contest.gain)
         for h, short in contest.rivals:
             if short < margin:
                 own, brought = h.point, last.structure.brought_by(effect, first)
@@ -335,29 +342,35 @@ def _swapped(
                 # What the effect had brought along may be there without it.
                 others = dict.fromkeys(last.structure.without(effect, *i).with_(*h.added) for i in ((), brought))
                 begun = itertools.product(others, starts)
-                tried = each(lambda b: local_optima.settle(cases, b[0], b[1], held, last.density), begun)
-                point = local_optima.deepen(cases, min(tried, key=lambda p: model_comparison.behind(p, last)), held)
+                tried = each(lambda b: local_optima.refit(cases, b[0], b[1], held, last.process_noise), begun)
+                point = local_optima.refit_through_best_noise(
+                    cases, min(tried, key=lambda p: model_comparison.criterion_difference_penalised(p, last)), held
+                )
                 # What stays behind takes no place, and needs no test: that something is there is known from the effect.
                 without = min((q for q in lesser if effect not in q.structure), key=lambda q: q.deviance)
-                stays = model_comparison.behind(point, last) >= 0.0
-                if plausible(cases, point, last) and (stays or selection_round.shows(cases, without, point)):
-                    out.append(Swap(effect, h.added[0], point))
+                stays = model_comparison.criterion_difference_penalised(point, last) >= 0.0
+                if is_plausible(cases, point, last) and (stays or selection_round.is_confirmed(cases, without, point)):
+                    out.append(Alternative(effect, h.added[0], point))
     return out
 
 
-def _overtook(rounds: Sequence[Round], effect: str, other: str) -> list[Point]:
+def _overtaking_fits(rounds: Sequence[Round], effect: str, other: str) -> list[Fit]:
     """The fits with the other effect, where in one round it did so much more than the effect that it had earned to
     stand beside it."""
     fits = [{h.added[0]: h.point for h in this.rivals} for this in rounds]
-    if not any(effect in by and other in by and model_comparison.earns(by[effect], by[other]) for by in fits):
+    if not any(effect in by and other in by and model_comparison.is_significant(by[effect], by[other]) for by in fits):
         return []
     return [by[other] for by in fits if other in by]
 
 
-def _wider(
-    cases: Sequence[Case], last: Point, first: Structure, candidates: Sequence[str], held: Mapping[str, float],
+def _containing_alternatives(
+    cases: Sequence[PreparedRecording],
+    last: Fit,
+    first: Structure,
+    candidates: Sequence[str],
+    held: Mapping[str, float],
     rounds: Sequence[Round] = (),
-) -> list[Swap]:  # fmt: skip
+) -> list[Alternative]:
     """The last model with what contains one of its effects, and is as large, where that fits about as well.
 
     Dry friction that differs between the directions is dry friction and a dead-band that is wider on one side, unless
@@ -372,42 +385,51 @@ def _wider(
         own, more = EFFECTS[effect].screen, EFFECTS[other].screen
         assert own is not None and more is not None
         longer, size = last.structure.with_(other), last.values[own.gain]
-        mine, known = preparation.with_steps(cases, longer), preparation.completed(longer, last.values) | dict(held)
+        mine, known = (
+            preparation.with_internal_step(cases, longer),
+            preparation.complete_values(longer, last.values) | dict(held),
+        )
         starts = [known | {more.gain: s * size} for s in (1.0, -1.0) if more.gain not in held]
         allowed = filter(likelihood.within_bounds, starts)
-        climb = partial(likelihood.climb, mine, longer, density=last.density, free=last.free)
+        climb = partial(likelihood.levenberg_marquardt, mine, longer, process_noise=last.process_noise, free=last.free)
         fits = each(climb, allowed)
-        for h in _overtook(rounds, effect, other):
+        for h in _overtaking_fits(rounds, effect, other):
             share = h.values[more.gain] / max(h.values[own.gain], 1e-300)
             begins = ({**last.values, more.gain: share * size}, {**last.values, **h.values})
-            fits.append(local_optima.highest(cases, longer, begins, held, last.density))
+            fits.append(local_optima.best_refit(cases, longer, begins, held, last.process_noise))
         found = min(fits, key=lambda p: p.deviance, default=None)
         if (
             found is not None
-            and model_comparison.ahead(last, found) < model_comparison.UNSURE
-            and plausible(cases, found, last)
+            and model_comparison.criterion_difference(last, found) < thresholds.UNDECIDED_MARGIN
+            and is_plausible(cases, found, last)
         ):
-            out.append(Swap(effect, other, found))
+            out.append(Alternative(effect, other, found))
     return out
 
 
-def _widened(
-    cases: Sequence[Case], last: Point, swaps: Sequence[Swap], wider: Sequence[Swap], held: Mapping[str, float]
-) -> tuple[Point, list[Swap]]:  # fmt: skip
+def _prefer_containing(
+    cases: Sequence[PreparedRecording],
+    last: Fit,
+    swaps: Sequence[Alternative],
+    wider: Sequence[Alternative],
+    held: Mapping[str, float],
+) -> tuple[Fit, list[Alternative]]:
     """The last model, or the likeliest that contains one of its effects if that is worth its parameters; and what
     could as well stand in the place of what is named then.
     """
-    likeliest = max(wider, key=lambda w: model_comparison.ahead(w.point, last), default=None)
+    likeliest = max(wider, key=lambda w: model_comparison.criterion_difference(w.point, last), default=None)
     if likeliest is not None:
         found = likeliest.point
-        freed = local_optima.settle(cases, found.structure, found.values, held, last.density)
-        if model_comparison.ahead(freed, last) > 0.0:
+        freed = local_optima.refit(cases, found.structure, found.values, held, last.process_noise)
+        if model_comparison.criterion_difference(freed, last) > 0.0:
             others = [w for w in swaps if w.effect in freed.structure.named]
-            return freed, [*others, Swap(likeliest.rival, likeliest.effect, last)]
+            return freed, [*others, Alternative(likeliest.rival, likeliest.effect, last)]
     return last, [*swaps, *wider]
 
 
-def _levelled(cases: Sequence[Case], last: Point, candidates: Sequence[str]) -> list[Swap]:
+def _offset_for_dead_bands(
+    cases: Sequence[PreparedRecording], last: Fit, candidates: Sequence[str]
+) -> list[Alternative]:
     """The last model with dead-bands that are equal and a constant torque in the place of what they differ by, where
     that fits about as well: as long as the drive pushes, the torque only shifts both.
     """
@@ -417,21 +439,26 @@ def _levelled(cases: Sequence[Case], last: Point, candidates: Sequence[str]) -> 
         return []
     one, other = (last.free.index(n) for n in sides)
     known, differ = last.robust_covariance, last.values[sides[1]] - last.values[sides[0]]
-    if differ**2 < CERTAIN**2 * (known[one, one] + known[other, other] - 2.0 * known[one, other]):
+    if differ**2 < thresholds.UNEQUAL_DEAD_BAND_DEVIATIONS**2 * (
+        known[one, one] + known[other, other] - 2.0 * known[one, other]
+    ):
         return []
-    longer, equal = last.structure.with_("constant_offset"), torque_regression.level(last.values)
-    mine, begun = preparation.with_steps(cases, longer), preparation.completed(longer, last.values | equal)
-    rows = screening.sided([equal], last.structure, last.values, "constant_offset")
+    longer, equal = last.structure.with_("constant_offset"), torque_regression.equal_dead_bands(last.values)
+    mine, begun = (
+        preparation.with_internal_step(cases, longer),
+        preparation.complete_values(longer, last.values | equal),
+    )
+    rows = screening.with_gap_sides([equal], last.structure, last.values, "constant_offset")
     free = (*last.free, *(n for n in rows[0] if n not in equal))
     # The torque is held where it levels the dead-bands; they stay about equal unless something else makes up for it.
-    fits = each(lambda row: likelihood.climb(mine, longer, begun | row, last.density, free), rows)
+    fits = each(lambda row: likelihood.levenberg_marquardt(mine, longer, begun | row, last.process_noise, free), rows)
     found = min(fits, key=lambda p: p.deviance)
     level = abs(found.values[sides[1]] - found.values[sides[0]]) < 0.5 * abs(differ)
-    stands = level and model_comparison.ahead(last, found) < model_comparison.UNSURE
-    return [Swap("dead_band", "constant_offset", found)] if stands else []
+    stands = level and model_comparison.criterion_difference(last, found) < thresholds.UNDECIDED_MARGIN
+    return [Alternative("dead_band", "constant_offset", found)] if stands else []
 
 
-def _bettered(this: Round, found: Point) -> Round:
+def _with_better_fit(this: Round, found: Fit) -> Round:
     """The round, with a better fit of the rival that has this structure: one that ended in a lesser valley would say
     that what contains it does more.
     """
@@ -440,7 +467,7 @@ def _bettered(this: Round, found: Point) -> Round:
     return replace(this, rivals=tuple(rivals))
 
 
-def _plainer(cases: Sequence[Case], this: Round, held: Mapping[str, float]) -> Point:
+def _plain_winner(cases: Sequence[PreparedRecording], this: Round, held: Mapping[str, float]) -> Fit:
     """The winner, or what it brought along alone where that earns a place by itself.
 
     What a specialised friction adds to plain friction then competes with everything else that may be beside it.
@@ -449,71 +476,90 @@ def _plainer(cases: Sequence[Case], this: Round, held: Mapping[str, float]) -> P
     kept = this.before.structure.with_(*EFFECTS[winner.added[0]].includes)
     if kept.named == this.before.structure.named:
         return winner.point
-    plain = _fits(cases, winner.point, held, [kept])[0]
-    return plain if model_comparison.earns(this.before, plain) else winner.point
+    plain = _refits(cases, winner.point, held, [kept])[0]
+    return plain if model_comparison.is_significant(this.before, plain) else winner.point
 
 
-def _sharp(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:
+def _fit_at_best_noise(cases: Sequence[PreparedRecording], point: Fit) -> tuple[list[PreparedRecording], Fit]:
     """The maximum near the point at the noise density that the recording asks for, and the cases as they are judged by
     what the model foresees there.
     """
-    mine = preparation.with_steps(cases, point.structure)
-    found = likelihood.fit(mine, point.structure, point.values, point.free, point.density)
-    for _ in range(FORESEEN):
-        mine, found = multistart.foreseen(mine, found)
+    mine = preparation.with_internal_step(cases, point.structure)
+    found = likelihood.fit_with_process_noise(mine, point.structure, point.values, point.free, point.process_noise)
+    for _ in range(thresholds.MAX_MASK_UPDATES):
+        mine, found = multistart.refit_with_contact_mask(mine, found)
     return mine, found
 
 
-def _added(
-    cases: list[Case], best: Point, most: int, candidates: Sequence[str], held: Mapping[str, float]
-) -> tuple[list[Case], Point, list[Round]]:  # fmt: skip
+def _add_with_short_memory(
+    cases: list[PreparedRecording], best: Fit, most: int, candidates: Sequence[str], held: Mapping[str, float]
+) -> tuple[list[PreparedRecording], Fit, list[Round]]:  # fmt: skip
     """The model with up to so many more effects, each judged as what was found before it asks for; the rounds won."""
     rounds: list[Round] = []
     while len(rounds) < most and (open_ := [c for c in candidates if c not in best.structure]):
-        seen = selection_round.contest(cases, best, open_)
-        if not any(model_comparison.earned(best, h.point) > selection_round.HOPE * selection_round.PLAIN for h in seen):
+        seen = selection_round.screen_candidates(cases, best, open_)
+        if not any(
+            model_comparison.gain(best, h.point) > thresholds.PROMISING_SHARE * thresholds.MIN_GAIN_AT_OTHER_MEMORY
+            for h in seen
+        ):
             break
-        this = selection_round.compete(cases, best, seen[: selection_round.NEAR], open_, held)
-        if not this.won or model_comparison.earned(this.before, this.rivals[0].point) < selection_round.PLAIN:
+        this = selection_round.run_round(cases, best, seen[: thresholds.MAX_FITTED], open_, held)
+        if (
+            not this.won
+            or model_comparison.gain(this.before, this.rivals[0].point) < thresholds.MIN_GAIN_AT_OTHER_MEMORY
+        ):
             break
         rounds.append(this)
-        cases, best = _sharp(cases, _plainer(cases, this, held))
+        cases, best = _fit_at_best_noise(cases, _plain_winner(cases, this, held))
     return cases, best, rounds
 
 
-def _resumed(
-    found: Search, cases: list[Case], best: Point, most: int, candidates: Sequence[str], held: Mapping[str, float]
-) -> tuple[list[Case], Point, list[Round]]:  # fmt: skip
+def _add_with_usual_memory(
+    found: SearchResult,
+    cases: list[PreparedRecording],
+    best: Fit,
+    most: int,
+    candidates: Sequence[str],
+    held: Mapping[str, float],
+) -> tuple[list[PreparedRecording], Fit, list[Round]]:
     """The model with up to so many more effects that the usual filter sees now, judged as it asks for; the rounds won.
 
     What is faint to the usual filter may be so because that had lost its way for lack of it, and then missed more.
     """
-    settled = local_optima.settle(found.cases, best.structure, best.values, held, found.last.density)
-    usual = _moved(found.cases, settled, held)
-    grown, rounds = _grown(found.cases, usual, candidates, held, lambda sentence, share: None, most)
+    settled = local_optima.refit(found.cases, best.structure, best.values, held, found.last.process_noise)
+    usual = _restart(found.cases, settled, held)
+    grown, rounds = _add_effects(found.cases, usual, candidates, held, lambda sentence, share: None, most)
     won = [this for this in rounds if this.won]
-    return (*_sharp(found.cases, grown), won) if won else (cases, best, [])
+    return (*_fit_at_best_noise(found.cases, grown), won) if won else (cases, best, [])
 
 
-def _carried(
-    cases: Sequence[Case], last: Point, swaps: Sequence[Swap], held: Mapping[str, float], more: Sequence[str] = (),
+def _refit_alternatives(
+    cases: Sequence[PreparedRecording],
+    last: Fit,
+    swaps: Sequence[Alternative],
+    held: Mapping[str, float],
+    more: Sequence[str] = (),
     fewer: Sequence[str] = (),
-) -> list[Swap]:  # fmt: skip
+) -> list[Alternative]:
     """What could stand in the place of effects beside a last model that has gained some and lost others."""
     out = []
     for w in swaps:
         if w.rival in last.structure or w.effect not in last.structure:
             continue
         if w.effect == "dead_band":
-            out += _levelled(cases, last, [w.rival])
+            out += _offset_for_dead_bands(cases, last, [w.rival])
         else:
             structure = w.point.structure.with_(*more).without(*fewer)
             starts = ({**last.values, **w.point.values}, {**w.point.values, **last.values})
-            out.append(Swap(w.effect, w.rival, local_optima.highest(cases, structure, starts, held, last.density)))
+            out.append(
+                Alternative(
+                    w.effect, w.rival, local_optima.best_refit(cases, structure, starts, held, last.process_noise)
+                )
+            )
     return out
 
 
-def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) -> Search:
+def refine_with_short_memory(found: SearchResult, held: Mapping[str, float], candidates: Sequence[str]) -> SearchResult:
     """The search, with what shows beside its last model to a filter that remembers for no longer than the recording
     asks for, where meetings of motor and link are judged only if the model foresees them; as it was where nothing does.
 
@@ -523,47 +569,53 @@ def closer(found: Search, held: Mapping[str, float], candidates: Sequence[str]) 
     nothing about what had been found. And since it sees how the axis departs from every law, what it shows alone has
     to earn as much more as what only a longer memory shows.
     """
-    cases, known = _sharp(found.cases, found.last)
-    if known.density < local_optima.ALIKE * found.last.density and all(c.unforeseen is None for c in cases):
+    cases, known = _fit_at_best_noise(found.cases, found.last)
+    if known.process_noise < local_optima.PROCESS_NOISE_TOLERANCE * found.last.process_noise and all(
+        c.contact_mask is None for c in cases
+    ):
         return found
-    room = MOST - len(set(known.structure.named) - set(found.first.structure.named))
-    cases, best, rounds = _added(cases, known, room, candidates, held)
+    room = thresholds.MAX_EFFECTS - len(set(known.structure.named) - set(found.first.structure.named))
+    cases, best, rounds = _add_with_short_memory(cases, known, room, candidates, held)
     if not rounds:
         return found
-    cases, best, more = _resumed(found, cases, best, room - len(rounds), candidates, held)
+    cases, best, more = _add_with_usual_memory(found, cases, best, room - len(rounds), candidates, held)
     rounds += more
-    known = local_optima.settle(cases, known.structure, known.values, held, best.density)
-    best, _, swaps = _weighed(cases, best, known, rounds, held)
+    known = local_optima.refit(cases, known.structure, known.values, held, best.process_noise)
+    best, _, swaps = _prune_and_exchange(cases, best, known, rounds, held)
     new = [e for e in best.structure.named if e not in known.structure]
     if not new:
         return found
-    first = local_optima.settle(cases, found.first.structure, found.first.values, held, best.density)
+    first = local_optima.refit(cases, found.first.structure, found.first.values, held, best.process_noise)
     # What had been found is judged beside what is new, each by itself.
-    lesser = _fits(cases, best, held, _smaller(best.structure, first.structure))
-    best = _unmet(cases, best)
-    wider = [w for w in _wider(cases, best, found.first.structure, candidates, held, rounds) if w.effect in new]
-    best, swaps = _widened(cases, best, swaps, wider, held)
+    lesser = _refits(cases, best, held, _smaller_structures(best.structure, first.structure))
+    best = _without_unmet_stops(cases, best)
+    wider = [
+        w
+        for w in _containing_alternatives(cases, best, found.first.structure, candidates, held, rounds)
+        if w.effect in new
+    ]
+    best, swaps = _prefer_containing(cases, best, swaps, wider, held)
     added = [e for e in best.structure.named if e not in known.structure]
-    swaps += _carried(cases, best, found.swaps, held, more=added)
-    return Search(first, best, (*found.rounds, *rounds), tuple(cases), (*lesser, first), tuple(swaps))
+    swaps += _refit_alternatives(cases, best, found.alternatives, held, more=added)
+    return SearchResult(first, best, (*found.rounds, *rounds), tuple(cases), (*lesser, first), tuple(swaps))
 
 
-def renewed(found: Search, last: Point) -> Search:
+def with_last_model(found: SearchResult, last: Fit) -> SearchResult:
     """The search with another last model of the same structure, and what that is held against fitted anew."""
-    kept = local_optima.kept(last)
-    fits = _fits(found.cases, last, kept, _smaller(last.structure, found.first.structure))
-    swaps = _carried(found.cases, last, found.swaps, kept)
-    return replace(found, last=last, lesser=(*fits, found.first) if fits else (), swaps=tuple(swaps))
+    kept = local_optima.held_values(last)
+    fits = _refits(found.cases, last, kept, _smaller_structures(last.structure, found.first.structure))
+    swaps = _refit_alternatives(found.cases, last, found.alternatives, kept)
+    return replace(found, last=last, smaller_models=(*fits, found.first) if fits else (), alternatives=tuple(swaps))
 
 
-def less(found: Search, effects: Sequence[str], values: Mapping[str, float]) -> Search:
+def drop_effects(found: SearchResult, effects: Sequence[str], values: Mapping[str, float]) -> SearchResult:
     """The search, its last model without some of its effects, from these values. What goes could as well have stood in
     the place of what stays: of two that do the same it may be the other that fits better alone.
     """
-    kept, structure = local_optima.kept(found.last), found.last.structure.without(*effects)
-    alone = local_optima.settle(found.cases, structure, values, kept, found.last.density)
-    last, lesser, swaps = _weighed(found.cases, alone, found.first, found.rounds, kept)
+    kept, structure = local_optima.held_values(found.last), found.last.structure.without(*effects)
+    alone = local_optima.refit(found.cases, structure, values, kept, found.last.process_noise)
+    last, lesser, swaps = _prune_and_exchange(found.cases, alone, found.first, found.rounds, kept)
     told = {(w.effect, w.rival) for w in swaps}
-    others = [w for w in found.swaps if (w.effect, w.rival) not in told]
-    swaps += _carried(found.cases, last, others, kept, fewer=effects)
-    return replace(found, last=last, lesser=tuple(lesser), swaps=tuple(swaps))
+    others = [w for w in found.alternatives if (w.effect, w.rival) not in told]
+    swaps += _refit_alternatives(found.cases, last, others, kept, fewer=effects)
+    return replace(found, last=last, smaller_models=tuple(lesser), alternatives=tuple(swaps))

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnosis import nonparametric, residual_torque
-from twin.diagnosis.residual_torque import Missing
+from twin.diagnosis import nonparametric, residual_torque, thresholds
+from twin.diagnosis.residual_torque import MissingTorque
 from twin.diagnosis.result import Trace
 from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 from twin.fmi import python_fmu
 from twin.io.position_loop import own_loop
 from twin.io.recording import Recording, to_fit
@@ -28,18 +28,13 @@ from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
 
 #: Where in a lone recording the held-out part begins and ends, as shares of it.
-END, MIDDLE = (0.7, 1.0), (0.35, 0.65)
-#: Where the last model lacks so many times as much as in what was fitted, and more than this share of the acceleration,
-#: held-out data show what training did not: larger motion alone makes more of what a fit left. What goes with the
-#: acceleration itself may be less, as where a load grew by a fiftieth; and smaller motion makes less of it, as where a
-#: chirp ends slow.
-BEYOND, FAINT = 3.0, 0.02
+END_PART, MIDDLE_PART = (0.7, 1.0), (0.35, 0.65)
 #: Three time constants, but no less and no more than this, a free run starts ahead of what is judged, s.
-_LEAD = (1.0, 5.0)
+_LEAD_TIME = (1.0, 5.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class HoldoutPart:
     """What is read from `begin` to `end` (s) of a recording, of which the rest only leads there."""
 
     recording: Recording
@@ -57,20 +52,22 @@ class Part:
         return bool(self.inside.all())
 
 
-def split(recordings: Sequence[Recording], where: tuple[float, float] = END) -> tuple[list[Recording], list[Part]]:
+def split(
+    recordings: Sequence[Recording], where: tuple[float, float] = END_PART
+) -> tuple[list[Recording], list[HoldoutPart]]:
     """What may be fitted, and what is held out: the recordings of that role, or a part of each if there are none.
 
     Raises BadInput where nothing is to be fitted.
     """
     train = to_fit(recordings)
-    held_out = [Part(r) for r in recordings if r.role != "train"]
+    held_out = [HoldoutPart(r) for r in recordings if r.role != "train"]
     if held_out:
         return train, held_out
-    parts = [Part(r, *(share * float(r.time[-1]) for share in where)) for r in train]
+    parts = [HoldoutPart(r, *(share * float(r.time[-1]) for share in where)) for r in train]
     return [p.recording.without(p.begin, p.end) for p in parts], parts
 
 
-def led(parts: Sequence[Part], structure: Structure, lead: float) -> tuple[list[Recording], list[Part]]:
+def led(parts: Sequence[HoldoutPart], structure: Structure, lead: float) -> tuple[list[Recording], list[HoldoutPart]]:
     """What a free run through each part goes through, from `lead` seconds ahead or from the start, and the part in it.
 
     Physics that depends on the time since the start must run from the start.
@@ -81,11 +78,11 @@ def led(parts: Sequence[Part], structure: Structure, lead: float) -> tuple[list[
         run = part.recording.part(begin, part.end)
         shift = float(part.recording.time[part.recording.time >= begin][0])
         runs.append(run)
-        inside.append(Part(run, part.begin - shift, part.end - shift))
+        inside.append(HoldoutPart(run, part.begin - shift, part.end - shift))
     return runs, inside
 
 
-def _free_run(fmu: Path, part: Part, lead: float, closed: bool) -> np.ndarray:
+def _free_run(fmu: Path, part: HoldoutPart, lead: float, closed: bool) -> np.ndarray:
     """What the FMU says the sensor reads in the part, started there from the recorded state.
 
     It starts `lead` seconds ahead, in what was fitted, so that lag, gap and delay line are filled and an error of the
@@ -103,67 +100,73 @@ def _free_run(fmu: Path, part: Part, lead: float, closed: bool) -> np.ndarray:
     return seen
 
 
-def rerun(model: Model, recording: Recording, closed: bool = False) -> np.ndarray:
+def simulate_recording(model: Model, recording: Recording, closed: bool = False) -> np.ndarray:
     """What the sensor reads (N,) over the whole recording, free from its start or, `closed`, under the rig's own loop,
     by the kernel. Raises BadInput where that loop is not known.
     """
-    case = likelihood.prepare(recording, model.structure, closed)
-    (case,) = preparation.with_steps([replace(case, start=python_fmu.start_of(recording))], model.structure)
-    seen = likelihood.states(case, model.structure, model.values, 0.0).reading
+    case = likelihood.prepare_recording(recording, model.structure, closed)
+    (case,) = preparation.with_internal_step([replace(case, start=python_fmu.start_of(recording))], model.structure)
+    seen = likelihood.filtered_states(case, model.structure, model.values, 0.0).reading
     return seen[own_loop(recording).stamps] if closed else seen
 
 
-def traces(before: Model, after: Model, parts: Sequence[tuple[str, Part]], closed: bool = False) -> list[Trace]:
+def traces(before: Model, after: Model, parts: Sequence[tuple[str, HoldoutPart]], closed: bool = False) -> list[Trace]:
     """Both models beside each part, whose role comes first, free-running from the recorded input or, `closed`, under
     the rig's own loop: what is held out through their FMUs, what was fitted by the kernel, which they equal.
     """
     clocked = any(timed(m.structure) for m in (before, after))
     # Physics that depends on the time since the start must run from the start.
-    lead = math.inf if clocked else float(np.clip(3.0 / max(after.values.get("viscous_friction", 0.0), 1e-9), *_LEAD))
+    lead = (
+        math.inf if clocked else float(np.clip(3.0 / max(after.values.get("viscous_friction", 0.0), 1e-9), *_LEAD_TIME))
+    )
     out = []
     with tempfile.TemporaryDirectory() as folder:
         fmus = [python_fmu.export(m, Path(folder) / f"{i}.fmu") for i, m in enumerate((before, after))]
         for role, part in parts:
             recording, inside = part.recording, part.inside
             if role == "train":
-                runs = [rerun(m, recording, closed) for m in (before, after)]
+                runs = [simulate_recording(m, recording, closed) for m in (before, after)]
             else:
                 runs = [_free_run(fmu, part, lead, closed) for fmu in fmus]
             out.append(Trace(recording.name, role, recording.time[inside], recording.output[inside], *runs))
     return out
 
 
-def _quicker(here: Missing, there: Missing) -> float:
+def _acceleration_ratio(here: MissingTorque, there: MissingTorque) -> float:
     """How many times as large the acceleration is here as there, in the root mean square."""
-    return here.acceleration_size / max(there.acceleration_size, 1e-300)
+    return here.acceleration_rms / max(there.acceleration_rms, 1e-300)
 
 
-def unseen(cases: Sequence[Case], point: Point, held_out: Sequence[Part]) -> list[str]:
+def physics_only_in_holdout(
+    cases: Sequence[PreparedRecording], point: Fit, held_out: Sequence[HoldoutPart]
+) -> list[str]:
     """What the last model lacks in held-out data alone: of physics that did not act before, nobody could tell.
 
     Either a torque that goes with something, or one that is larger than all before, as where a stop is met.
     """
 
-    def lacks(case: Case, part: Part) -> tuple[Missing, nonparametric.Leftover]:
-        (mine,) = preparation.with_steps([case], point.structure)
+    def lacks(case: PreparedRecording, part: HoldoutPart) -> tuple[MissingTorque, nonparametric.RemainingDependence]:
+        (mine,) = preparation.with_internal_step([case], point.structure)
         missing = residual_torque.missing_torque(mine, point.structure, point.values).between(part.begin, part.end)
-        return missing, nonparametric.examine(missing, case.recording.lever)
+        return missing, nonparametric.examine_dependence(missing, case.recording.lever)
 
-    fitted = [lacks(c, Part(c.recording)) for c in cases]
-    known, loud = max(left.size for _, left in fitted), max(missing.size for missing, _ in fitted)
+    fitted = [lacks(c, HoldoutPart(c.recording)) for c in cases]
+    known, loud = max(left.size for _, left in fitted), max(missing.rms for missing, _ in fitted)
     said = []
     for part in held_out:
-        (case,) = preparation.prepare([part.recording], point.structure)
+        (case,) = preparation.prepare_recordings([part.recording], point.structure)
         missing, left = lacks(case, part)
-        least = FAINT * missing.acceleration_size
+        least = thresholds.HOLDOUT_MIN_SHARE * missing.acceleration_rms
         if left.variables == ("acceleration",):
-            enough = BEYOND * max(own.size * min(_quicker(missing, there), 1.0) for there, own in fitted)
+            enough = thresholds.HOLDOUT_EXCESS * max(
+                own.size * min(_acceleration_ratio(missing, there), 1.0) for there, own in fitted
+            )
         else:
-            enough = max(BEYOND * known, least)
-        if nonparametric.is_left(left) and left.size > enough:
+            enough = max(thresholds.HOLDOUT_EXCESS * known, least)
+        if nonparametric.is_dependence_left(left) and left.size > enough:
             size, goes = left.size, f"that goes with {' and '.join(left.variables)}"
-        elif missing.size > max(BEYOND * loud, least):
-            size, goes = missing.size, f"in the mean, the most at {missing.loudest:.3g} s"
+        elif missing.rms > max(thresholds.HOLDOUT_EXCESS * loud, least):
+            size, goes = missing.rms, f"in the mean, the most at {missing.time_of_largest:.3g} s"
         else:
             continue
         since = "" if part.whole else f" from {part.begin:.3g} s on"

@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
-from twin.diagnosis import residual_torque
-from twin.diagnosis.residual_torque import Missing
+from twin.diagnosis import residual_torque, thresholds
+from twin.diagnosis.residual_torque import MissingTorque
 from twin.effects.catalogue import EFFECTS, pages
 from twin.effects.knots import KNOTS, names, slopes, spots, through
 from twin.estimation import likelihood, local_optima, multistart, preparation
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 from twin.model.stepper import Structure
 from twin.parallel import each
 
@@ -33,22 +33,17 @@ IntArray = NDArray[np.intp]
 
 _TURN = 2.0 * math.pi
 #: Length of the stretches held out or given a sign, s.
-_STRETCH = 0.25
+_BLOCK_LENGTH = 0.25
 _FOLDS = 10
-_DRAWS = 199
+_BOOTSTRAP_DRAWS = 199
 #: So many averages at zero does every bin get beside its own.
-_CAUTION = 5.0
+_SHRINKAGE = 5.0
 #: Waves over position, so many times a turn, each cut into so many phases.
-_ORDERS = range(2, 61)
-_PHASES = 8
+_WAVE_ORDERS = range(2, 61)
+_PHASE_BINS = 8
 #: So far after a reversal friction and gap may still remember it, rad.
-_NEAR = 0.3
-#: What counts as left: a rig with nothing missing leaves next to nothing, unless its motor rattles without end.
-SURE = 0.01
-LARGE = 0.2
-#: Part of the predictable torque's power that a named effect must take away to stand for it.
-REMOVED = 0.75
-_EULER = 0.5772156649015329
+_REVERSAL_RANGE = 0.3
+_EULER_MASCHERONI = 0.5772156649015329
 
 
 @dataclass(frozen=True)
@@ -68,7 +63,7 @@ class Dependence:
 
 
 @dataclass(frozen=True)
-class Leftover:
+class RemainingDependence:
     """What is still predictable in the missing torque: the best of all dependences.
 
     `p_value` is the chance that noise does as well in any of the tables.
@@ -83,7 +78,7 @@ class Leftover:
 
 
 #: The tables by name, and what they stand for in the contract.
-_MEANS: Mapping[str, tuple[str, ...]] = {
+_TABLE_VARIABLES: Mapping[str, tuple[str, ...]] = {
     "position": ("position",),
     "angle": ("position",),
     "velocity": ("velocity",),
@@ -101,12 +96,12 @@ _MEANS: Mapping[str, tuple[str, ...]] = {
     "velocity, time": ("velocity", "time"),
     "input, time": ("input", "time"),
     "input, velocity": ("input", "velocity"),
-    **{f"wave {n}": ("position",) for n in _ORDERS},
-    **{f"wave {n}, push": ("position", "input") for n in _ORDERS},
+    **{f"wave {n}": ("position",) for n in _WAVE_ORDERS},
+    **{f"wave {n}, push": ("position", "input") for n in _WAVE_ORDERS},
 }
 
 
-def _averages(missing: Missing) -> dict[str, FloatArray]:
+def _averages(missing: MissingTorque) -> dict[str, FloatArray]:
     """Torque and states in averages, and the way since the last reversal; stretches with unread torque are left out."""
     means = missing.averages()
     velocity = means["velocity"]
@@ -117,26 +112,26 @@ def _averages(missing: Missing) -> dict[str, FloatArray]:
     return {n: m[ok] for n, m in means.items()}
 
 
-def _cut(values: FloatArray, bins: int) -> IntArray:
+def _bin_labels(values: FloatArray, bins: int) -> IntArray:
     """Bins that hold as many values each; a value that is taken very often has a bin of its own."""
     edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, bins + 1)[1:-1]))
     return np.searchsorted(edges, values, "right") + np.searchsorted(edges, values, "left")
 
 
-def _tables(means: Mapping[str, FloatArray], lever: float) -> dict[str, IntArray]:
+def _state_tables(means: Mapping[str, FloatArray], lever: float) -> dict[str, IntArray]:
     """Every state on which the torque may depend, cut into bins."""
     fast = float(np.quantile(np.abs(means["velocity"]), 0.95))
     direction = (np.sign(means["velocity"]) * (np.abs(means["velocity"]) > 0.02 * fast) + 1.0).astype(np.intp)
     push = (np.sign(means["input"]) + 1.0).astype(np.intp)
-    tables = {n: _cut(means[n], 30) for n in ("position", "velocity", "acceleration", "input", "time")}
+    tables = {n: _bin_labels(means[n], 30) for n in ("position", "velocity", "acceleration", "input", "time")}
     tables |= {
         "direction": direction,
-        "since reversal": 3 * _cut(np.clip(means["since"], 0.0, _NEAR * lever), 12) + direction,
-        "velocity, time": 100 * _cut(means["velocity"], 6) + _cut(means["time"], 6),
-        "input, time": 100 * _cut(means["input"], 6) + _cut(means["time"], 6),
-        "input, velocity": 100 * _cut(means["input"], 8) + _cut(means["velocity"], 8),
-        "position, input": 100 * _cut(means["position"], 10) + _cut(means["input"], 4),
-        "position, acceleration": 100 * _cut(means["position"], 10) + _cut(means["acceleration"], 5),
+        "since reversal": 3 * _bin_labels(np.clip(means["since"], 0.0, _REVERSAL_RANGE * lever), 12) + direction,
+        "velocity, time": 100 * _bin_labels(means["velocity"], 6) + _bin_labels(means["time"], 6),
+        "input, time": 100 * _bin_labels(means["input"], 6) + _bin_labels(means["time"], 6),
+        "input, velocity": 100 * _bin_labels(means["input"], 8) + _bin_labels(means["velocity"], 8),
+        "position, input": 100 * _bin_labels(means["position"], 10) + _bin_labels(means["input"], 4),
+        "position, acceleration": 100 * _bin_labels(means["position"], 10) + _bin_labels(means["acceleration"], 5),
     }
     travel = float(np.ptp(means["position"]))
     if travel > 1.5 * _TURN:
@@ -145,25 +140,27 @@ def _tables(means: Mapping[str, FloatArray], lever: float) -> dict[str, IntArray
             "angle": angle,
             "angle, direction": 3 * angle + direction,
             "angle, push": 3 * angle + push,
-            "angle, input": 100 * (angle // 3) + _cut(means["input"], 5),
-            "angle, acceleration": 100 * (angle // 3) + _cut(means["acceleration"], 5),
+            "angle, input": 100 * (angle // 3) + _bin_labels(means["input"], 5),
+            "angle, acceleration": 100 * (angle // 3) + _bin_labels(means["acceleration"], 5),
         }
-    for n in _ORDERS:
+    for n in _WAVE_ORDERS:
         # What repeats is seen to repeat.
         if n * travel > 2.0 * _TURN:
-            phase = (n * means["position"] % _TURN * (_PHASES / _TURN)).astype(np.intp)
+            phase = (n * means["position"] % _TURN * (_PHASE_BINS / _TURN)).astype(np.intp)
             tables |= {f"wave {n}": phase, f"wave {n}, push": 3 * phase + push}
     return tables
 
 
-def _clipped(torque: FloatArray) -> FloatArray:
+def _without_impacts(torque: FloatArray) -> FloatArray:
     """The torque without single impacts, which are not a dependence."""
     spread = 1.4826 * float(np.median(np.abs(torque - np.median(torque))))
     low, high = np.median(torque) - 6.0 * spread, np.median(torque) + 6.0 * spread
     return np.clip(torque, low, high) if spread > 0.0 else torque
 
 
-def _cross(totals: FloatArray, counts: FloatArray, signs: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _cross_validated_squares(
+    totals: FloatArray, counts: FloatArray, signs: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Squares removed by predicting each stretch from the others (draws,), and the squares of the predictions.
 
     `totals` and `counts` (bins, stretches); `signs` (draws, stretches). A bin's prediction is its mean over the
@@ -174,13 +171,13 @@ def _cross(totals: FloatArray, counts: FloatArray, signs: FloatArray) -> tuple[F
     for fold in range(_FOLDS):
         mine = slice(fold, counts.shape[1], _FOLDS)
         own, number = totals[:, mine] @ signs[:, mine].T, counts[:, mine].sum(axis=1)
-        predicted = (whole - own) / (weight - number + _CAUTION)[:, None]
+        predicted = (whole - own) / (weight - number + _SHRINKAGE)[:, None]
         agreed += np.sum(own * predicted, axis=0)
         squared += number @ predicted**2
     return 2.0 * agreed - squared, squared
 
 
-def _shares(
+def _predicted_shares(
     torque: FloatArray, label: IntArray, stretch: IntArray, signs: FloatArray
 ) -> tuple[float, float, FloatArray]:
     """Share predicted, mean square of the prediction, and the shares (draws,) that noise gives under these signs.
@@ -191,81 +188,85 @@ def _shares(
     flat = label * pieces + stretch
     totals = np.asarray(np.bincount(flat, torque, bins * pieces), dtype=np.float64).reshape(bins, pieces)
     counts = np.bincount(flat, minlength=bins * pieces).astype(np.float64).reshape(bins, pieces)
-    removed, squared = _cross(totals, counts, np.ones((1, pieces)))
-    mean = totals.sum(axis=1) / (counts.sum(axis=1) + _CAUTION)
-    noise, _ = _cross(totals - counts * mean[:, None], counts, signs)
+    removed, squared = _cross_validated_squares(totals, counts, np.ones((1, pieces)))
+    mean = totals.sum(axis=1) / (counts.sum(axis=1) + _SHRINKAGE)
+    noise, _ = _cross_validated_squares(totals - counts * mean[:, None], counts, signs)
     rest = max(float(np.sum((torque - mean[label]) ** 2)), 1e-300)
     power = max(float(np.sum(torque**2)), 1e-300)
     return float(removed[0]) / power, float(squared[0]) / len(torque), noise / rest
 
 
-def _tail(score: float, null: FloatArray) -> float:
+def _gumbel_p_value(score: float, null: FloatArray) -> float:
     """Chance of a largest score as high as this; beyond the draws by the Gumbel law that fits them."""
     counted = (1.0 + float(np.sum(null >= score))) / (1.0 + len(null))
     if np.any(null >= score):
         return counted
     scale = max(float(null.std()) * math.sqrt(6.0) / math.pi, 1e-12)
-    mode = float(null.mean()) - _EULER * scale
+    mode = float(null.mean()) - _EULER_MASCHERONI * scale
     return min(counted, -math.expm1(-math.exp(-min((score - mode) / scale, 700.0))))
 
 
-def examine(missing: Missing, lever: float = 1.0, seed: int = 1) -> Leftover:
+def examine_dependence(missing: MissingTorque, lever: float = 1.0, seed: int = 1) -> RemainingDependence:
     """Look for dependence of the missing torque on every state; `lever` is what a radian is in the axis' unit.
 
     The same seed gives the same p-value.
     """
     means = _averages(missing)
     if len(means["torque"]) < 20 * _FOLDS:
-        return Leftover(0.0, 1.0, (), "", 0.0, ())
-    torque = _clipped(means["torque"])
-    stretch = (means["time"] / _STRETCH).astype(np.intp)
+        return RemainingDependence(0.0, 1.0, (), "", 0.0, ())
+    torque = _without_impacts(means["torque"])
+    stretch = (means["time"] / _BLOCK_LENGTH).astype(np.intp)
     pieces = int(stretch.max()) + 1
     rng = np.random.default_rng(seed)
-    signs = rng.choice([-1.0, 1.0], (_DRAWS, pieces))
+    signs = rng.choice([-1.0, 1.0], (_BOOTSTRAP_DRAWS, pieces))
     found, nulls = [], []
-    for name, table in _tables(means, lever).items():
-        share, square, noise = _shares(torque, np.unique(table, return_inverse=True)[1], stretch, signs)
+    for name, table in _state_tables(means, lever).items():
+        share, square, noise = _predicted_shares(torque, np.unique(table, return_inverse=True)[1], stretch, signs)
         middle, spread = float(noise.mean()), max(float(noise.std()), 1e-12)
         nulls.append((noise - middle) / spread)
-        found.append(Dependence(name, _MEANS[name], share, (share - middle) / spread, math.sqrt(square)))
-    p_value = _tail(max(d.score for d in found), np.max(nulls, axis=0))
+        found.append(Dependence(name, _TABLE_VARIABLES[name], share, (share - middle) / spread, math.sqrt(square)))
+    p_value = _gumbel_p_value(max(d.score for d in found), np.max(nulls, axis=0))
     found.sort(key=lambda d: -d.share)
     best = found[0]
-    return Leftover(max(best.share, 0.0), p_value, best.variables, best.table, best.size, tuple(found))
+    return RemainingDependence(max(best.share, 0.0), p_value, best.variables, best.table, best.size, tuple(found))
 
 
-def leftover(case: Case, structure: Structure, values: Mapping[str, float]) -> Leftover:
+def remaining_dependence(
+    case: PreparedRecording, structure: Structure, values: Mapping[str, float]
+) -> RemainingDependence:
     """Is there still structure in what a fitted model lacks that depends on the state?"""
-    (mine,) = preparation.with_steps([case], structure)
-    return examine(residual_torque.missing_torque(mine, structure, values), case.recording.lever)
+    (mine,) = preparation.with_internal_step([case], structure)
+    return examine_dependence(residual_torque.missing_torque(mine, structure, values), case.recording.lever)
 
 
-def is_left(found: Leftover) -> bool:
+def is_dependence_left(found: RemainingDependence) -> bool:
     """Whether what is left counts: both sure and large enough not to be a rig's ordinary imperfection."""
-    return found.p_value < SURE and found.share >= LARGE
+    return found.p_value < thresholds.DEPENDENCE_MAX_P_VALUE and found.share >= thresholds.DEPENDENCE_MIN_SHARE
 
 
-def removed(before: Leftover, after: Leftover) -> float:
+def share_removed(before: RemainingDependence, after: RemainingDependence) -> float:
     """By what share names made the mean square of the missing torque smaller."""
     return 1.0 - (after.size / max(before.size, 1e-300)) ** 2
 
 
-def verdict(named: bool, before: Leftover, after: Leftover) -> str:
+def verdict_of_dependence(named: bool, before: RemainingDependence, after: RemainingDependence) -> str:
     """The contract's verdict, from what is left of the first model and of the last; `named`: effects were found.
 
     A name that leaves most of the missing torque where it was describes something else: that is `unexplained`.
     """
-    if not is_left(after):
+    if not is_dependence_left(after):
         return "explained" if named else "nothing_missing"
-    return "partly_explained" if named and removed(before, after) >= REMOVED else "unexplained"
+    return (
+        "partly_explained" if named and share_removed(before, after) >= thresholds.MIN_SHARE_REMOVED else "unexplained"
+    )
 
 
 # ---- the term ----
 
 
 @dataclass(frozen=True)
-class Term:
-    """A shape that no page describes: one of `TERMS`, and how often a turn it repeats where it is made of waves.
+class CurveTerm:
+    """A shape that no page describes: one of `TERM_KINDS`, and how often a turn it repeats where it is made of waves.
 
     Raises ValueError for another kind.
     """
@@ -274,21 +275,21 @@ class Term:
     order: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.kind not in TERMS:
-            raise ValueError(f"no term over {self.kind!r}: there are {', '.join(TERMS)}")
+        if self.kind not in TERM_KINDS:
+            raise ValueError(f"no term over {self.kind!r}: there are {', '.join(TERM_KINDS)}")
 
 
 #: What a term over a variable makes superfluous: it holds any straight line itself.
-_HELD = {"velocity": "viscous_friction", "drag": "viscous_friction", "input": "input_gain"}
+_REPLACED_PARAMETER = {"velocity": "viscous_friction", "drag": "viscous_friction", "input": "input_gain"}
 #: Kinds of term; each is the effect unknown_<kind>. A drag is viscous friction over time, a gain the motor's over its
 #: angle, a push a torque over the angle that differs with the command's sign, a bend friction that gives by degrees, a
 #: swing that of something which rides on the link, an inertia the link's over its angle.
-TERMS = ("position", "angle", "velocity", "input", "time", "drag", "gain", "push", "bend", "swing", "inertia")
+TERM_KINDS = ("position", "angle", "velocity", "input", "time", "drag", "gain", "push", "bend", "swing", "inertia")
 #: Those of waves over the angle.
-_WAVES = ("angle", "gain", "push", "inertia")
+_WAVE_KINDS = ("angle", "gain", "push", "inertia")
 #: Those with a state of their own, and from where they are looked for: ways by which friction may give, rad, and
 #: springs (1/s^2) and dampers (1/s) by which something may ride along.
-_STARTS: Mapping[str, tuple[dict[str, float], ...]] = {
+_MEMORY_STARTS: Mapping[str, tuple[dict[str, float], ...]] = {
     "bend": tuple({"unknown_bend_give": way} for way in (0.003, 0.01, 0.03, 0.1)),
     "swing": tuple(
         {"unknown_swing_stiffness": spring, "unknown_swing_damping": damper}
@@ -296,21 +297,21 @@ _STARTS: Mapping[str, tuple[dict[str, float], ...]] = {
     ),
 }
 #: So many travels make a wave's turn where the axis does not turn: what it is at one end it need not be at the other.
-_ROOM = 1.5
+_TRAVELS_PER_TURN = 1.5
 #: Knots of the finer line that shows where a curve bends.
-FINE = 30
+FINE_KNOTS = 30
 #: Time that a knot must have seen, as a share of what it would have if all had the same.
-_SEEN = 0.05
+_MIN_KNOT_SHARE = 0.05
 
 
-def _weights(x: FloatArray, at: FloatArray) -> FloatArray:
+def _knot_weights(x: FloatArray, at: FloatArray) -> FloatArray:
     """What each knot's height does (N, knots) at x; level outside."""
     each = np.eye(len(at))
     lean = np.array(slopes(np.diff(at).tolist(), list(each)))
     return np.asarray(CubicHermiteSpline(at, each, lean)(np.clip(x, at[0], at[-1])))
 
 
-def _where_it_bends(at: FloatArray, heights: FloatArray) -> FloatArray:
+def _knot_positions(at: FloatArray, heights: FloatArray) -> FloatArray:
     """Where to put the knots (KNOTS,) of a line: half of them evenly, half where a finer one bends.
 
     They lie as densely there as the root of its second derivative, where straight lines would miss a curve least (de
@@ -322,7 +323,7 @@ def _where_it_bends(at: FloatArray, heights: FloatArray) -> FloatArray:
     return np.asarray(np.interp(np.linspace(0.0, reached[-1], KNOTS), reached, at))
 
 
-def _smooth(columns: FloatArray, torque: FloatArray, weight: float = 3.0) -> FloatArray:
+def _smooth_heights(columns: FloatArray, torque: FloatArray, weight: float = 3.0) -> FloatArray:
     """Heights that follow the torque, robustly, and bend no more than it asks for."""
     bend = np.diff(np.eye(columns.shape[1]), 2, axis=0)
     heights, trust = np.zeros(columns.shape[1]), np.ones(len(torque))
@@ -334,19 +335,19 @@ def _smooth(columns: FloatArray, torque: FloatArray, weight: float = 3.0) -> Flo
     return heights
 
 
-def wave_parts(effect: str) -> tuple[str, ...]:
+def wave_parameters(effect: str) -> tuple[str, ...]:
     """Names of the parts of the waves that a term is made of, its own or of what it brings with it: a sine and a cosine
     for each, in order, all those of one direction before the other's.
     """
     return tuple(p.name for page in pages(effect) for p in page.parameters if p.estimated)
 
 
-def _first_waves(
-    means: Mapping[str, FloatArray], term: Term, values: Mapping[str, float]
+def _initial_waves(
+    means: Mapping[str, FloatArray], term: CurveTerm, values: Mapping[str, float]
 ) -> tuple[dict[str, float], tuple[str, ...]]:
     """Values of the parameters of a term of waves to start from, and which of them are fitted."""
     travel = max(float(np.ptp(means["position"])), 1e-9)
-    order = max(term.order, _TURN / (_ROOM * travel))
+    order = max(term.order, _TURN / (_TRAVELS_PER_TURN * travel))
     phase, gain = order * means["position"], values["input_gain"]
     u = means["input"]
     ahead, behind = values.get("dead_band_forward", 0.0), values.get("dead_band_reverse", 0.0)
@@ -359,16 +360,16 @@ def _first_waves(
         weights = (gain * acting,)
     elif term.kind == "push":
         weights = (gain * over, gain * under)
-    free = wave_parts(f"unknown_{term.kind}")
+    free = wave_parameters(f"unknown_{term.kind}")
     count = len(free) // (2 * len(weights))
     columns = [w * f(k * phase) for w in weights for k in range(1, count + 1) for f in (np.sin, np.cos)]
-    sizes = np.linalg.lstsq(np.column_stack(columns), _clipped(means["torque"]), rcond=None)[0]
+    sizes = np.linalg.lstsq(np.column_stack(columns), _without_impacts(means["torque"]), rcond=None)[0]
     start = dict(zip(free, map(float, sizes), strict=True))
     return {**start, f"unknown_{term.kind}_order": order}, free
 
 
-def _first_line(
-    means: Mapping[str, FloatArray], term: Term, values: Mapping[str, float]
+def _initial_curve(
+    means: Mapping[str, FloatArray], term: CurveTerm, values: Mapping[str, float]
 ) -> tuple[dict[str, float], tuple[str, ...]]:
     """Values of the parameters of a term of lines to start from, and the knots that have seen enough to be fitted."""
     prefix = f"unknown_{term.kind}"
@@ -383,22 +384,22 @@ def _first_line(
         weight = values["input_gain"] * weight
     # A first model without the right physics may end where the command does nothing.
     size = float(np.sqrt(np.mean(weight**2))) or math.inf
-    torque = _clipped(means["torque"])
+    torque = _without_impacts(means["torque"])
 
     def drawn(columns: FloatArray) -> FloatArray:
-        return _smooth(columns * (weight / size)[:, None], torque) / size
+        return _smooth_heights(columns * (weight / size)[:, None], torque) / size
 
     between = (0.0, 1.0) if variable in ("time", "input") else (0.005, 0.995)
     low, high = (float(q) for q in np.quantile(x, between))
-    fine = np.linspace(low, max(high, low + 1e-6), FINE)
-    at = _where_it_bends(fine, drawn(_weights(x, fine)))
-    columns = _weights(x, at)
-    seen = columns.sum(axis=0) > _SEEN * len(x) / KNOTS
+    fine = np.linspace(low, max(high, low + 1e-6), FINE_KNOTS)
+    at = _knot_positions(fine, drawn(_knot_weights(x, fine)))
+    columns = _knot_weights(x, at)
+    seen = columns.sum(axis=0) > _MIN_KNOT_SHARE * len(x) / KNOTS
     free = tuple(n for n, s in zip(names(prefix), seen, strict=True) if s)
     return through(prefix, at.tolist(), drawn(columns).tolist()), free
 
 
-def _bridged(values: Mapping[str, float], prefix: str, free: Sequence[str]) -> dict[str, float]:
+def _interpolate_unseen_knots(values: Mapping[str, float], prefix: str, free: Sequence[str]) -> dict[str, float]:
     """Knots that saw too little, on the straight line through the nearest two that did not."""
     knots = names(prefix)
     at = np.array(spots(prefix, values))
@@ -407,78 +408,84 @@ def _bridged(values: Mapping[str, float], prefix: str, free: Sequence[str]) -> d
     return {**values, **dict(zip(knots, straight(at).tolist(), strict=True))}
 
 
-def _where_judged(case: Case, missing: Missing) -> Missing:
+def _masked_torque(case: PreparedRecording, missing: MissingTorque) -> MissingTorque:
     """What is missing where readings are judged: a knot that saw others alone, as while a motor rattles, is held by
     nothing and would be thrown anywhere. All of it where too few are judged for a curve.
     """
-    torque = np.where(case.passed_over, np.nan, missing.torque)
-    enough = np.count_nonzero(np.isfinite(torque)) * missing.step > KNOTS * residual_torque.AVERAGE
+    torque = np.where(case.masked, np.nan, missing.torque)
+    enough = np.count_nonzero(np.isfinite(torque)) * missing.step > KNOTS * residual_torque.AVERAGING_TIME
     return replace(missing, torque=torque) if enough else missing
 
 
-def remembering(cases: Sequence[Case], base: Point, term: Term) -> Point:
+def sketch_with_memory(cases: Sequence[PreparedRecording], base: Fit, term: CurveTerm) -> Fit:
     """The base model and a term with a state of its own, after a few steps from the likeliest of some starts."""
     effect, lever = EFFECTS[f"unknown_{term.kind}"], max(c.recording.lever for c in cases)
     structure = base.structure.with_(effect.id)
     scale = {p.name: lever if p.unit == "{x}" else 1.0 for p in effect.parameters}
-    starts = ({n: v * scale[n] for n, v in start.items()} for start in _STARTS[term.kind])
+    starts = ({n: v * scale[n] for n, v in start.items()} for start in _MEMORY_STARTS[term.kind])
     size, *others = (p.name for p in effect.parameters)
-    mine, free = preparation.with_steps(cases, structure), (*base.free, size)
+    mine, free = preparation.with_internal_step(cases, structure), (*base.free, size)
 
-    def climbed(values: Mapping[str, float], free: tuple[str, ...]) -> Point:
-        return likelihood.climb(mine, structure, values, base.density, free, rounds=5, tolerance=1.0)
+    def climbed(values: Mapping[str, float], free: tuple[str, ...]) -> Fit:
+        return likelihood.levenberg_marquardt(
+            mine, structure, values, base.process_noise, free, rounds=5, tolerance=1.0
+        )
 
     trials = each(lambda start: climbed({**base.values, size: 0.0, **start}, free), starts)
     return climbed(min(trials, key=lambda p: p.deviance).values, (*free, *others))
 
 
-def sketch(cases: Sequence[Case], base: Point, term: Term) -> Point:
+def sketch_curve(cases: Sequence[PreparedRecording], base: Fit, term: CurveTerm) -> Fit:
     """The base model and a term of no known shape, after a few steps at the base's noise density."""
     kind = term.kind
-    if kind in _STARTS:
-        return remembering(cases, base, term)
+    if kind in _MEMORY_STARTS:
+        return sketch_with_memory(cases, base, term)
     structure = base.structure.with_(f"unknown_{kind}")
-    mine = preparation.with_steps(cases, structure)
-    parts = [_averages(_where_judged(c, residual_torque.missing_torque(c, base.structure, base.values))) for c in mine]
+    mine = preparation.with_internal_step(cases, structure)
+    parts = [_averages(_masked_torque(c, residual_torque.missing_torque(c, base.structure, base.values))) for c in mine]
     means = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
-    first = _first_waves if kind in _WAVES else _first_line
+    first = _initial_waves if kind in _WAVE_KINDS else _initial_curve
     start, free = first(means, term, base.values)
-    free = (*(n for n in base.free if n != _HELD.get(kind)), *free)
+    free = (*(n for n in base.free if n != _REPLACED_PARAMETER.get(kind)), *free)
     values = {**base.values, **start}
-    if kind not in _WAVES:
-        values = _bridged(values, f"unknown_{kind}", free)
+    if kind not in _WAVE_KINDS:
+        values = _interpolate_unseen_knots(values, f"unknown_{kind}", free)
     # Gap and teeth stay where they are until it is finished: a run has room for the slopes of all others.
-    few = tuple(n for n in free if n not in multistart.SOUGHT)
-    values = likelihood.climb(mine, structure, values, base.density, few, rounds=5, tolerance=1.0).values
-    if kind not in _WAVES:
-        values = _bridged(values, f"unknown_{kind}", free)
-    return likelihood.evaluate(mine, structure, values, base.density, free)
+    few = tuple(n for n in free if n not in multistart.MULTIMODAL)
+    values = likelihood.levenberg_marquardt(
+        mine, structure, values, base.process_noise, few, rounds=5, tolerance=1.0
+    ).values
+    if kind not in _WAVE_KINDS:
+        values = _interpolate_unseen_knots(values, f"unknown_{kind}", free)
+    return likelihood.evaluate(mine, structure, values, base.process_noise, free)
 
 
-def one_wave(sketched: Point) -> Point:
+def first_wave_only(sketched: Fit) -> Fit:
     """The sketch of a term of waves with the first of them alone, once a turn: as many numbers as an effect has that
     repeats so.
     """
-    (term,) = (i for i in sketched.structure.ids if i in [f"unknown_{kind}" for kind in _WAVES])
-    mine = {n for n in wave_parts(term) if n in sketched.free}
+    (term,) = (i for i in sketched.structure.ids if i in [f"unknown_{kind}" for kind in _WAVE_KINDS])
+    mine = {n for n in wave_parameters(term) if n in sketched.free}
     first = {n for n in mine if n.endswith("_1")}
     values = {**sketched.values, **dict.fromkeys(mine - first, 0.0), f"{term}_order": 1.0}
     return replace(sketched, values=values, free=tuple(n for n in sketched.free if n not in mine - first))
 
 
-def finish(cases: Sequence[Case], sketched: Point) -> Point:
+def fit_curve(cases: Sequence[PreparedRecording], sketched: Fit) -> Fit:
     """The maximum from a sketch."""
-    mine = preparation.with_steps(cases, sketched.structure)
-    return likelihood.climb(mine, sketched.structure, sketched.values, sketched.density, sketched.free)
+    mine = preparation.with_internal_step(cases, sketched.structure)
+    return likelihood.levenberg_marquardt(
+        mine, sketched.structure, sketched.values, sketched.process_noise, sketched.free
+    )
 
 
-def relocated(cases: Sequence[Case], point: Point) -> Point:
+def restart_curve_gap(cases: Sequence[PreparedRecording], point: Fit) -> Fit:
     """The point, or a better one where gap, shares and teeth are looked for anew; what is not free stays as it is."""
-    return local_optima.relocated(cases, point, local_optima.kept(point))
+    return local_optima.restart_gap(cases, point, local_optima.held_values(point))
 
 
 #: What can draw the tables that are not drawn by the term over their first variable.
-_DRAWN = {
+_TERMS_OF_TABLE = {
     "direction": ("velocity",), "since reversal": ("bend", "position"), "acceleration": ("input",),
     "angle, push": ("push",), "angle, input": ("gain",), "position, input": ("gain",),
     "angle, acceleration": ("inertia",), "position, acceleration": ("inertia",),
@@ -486,15 +493,19 @@ _DRAWN = {
 }  # fmt: skip
 
 
-def terms_for(table: str) -> list[Term]:
+def terms_of_table(table: str) -> list[CurveTerm]:
     """The terms that may draw what a table shows."""
     wave = re.fullmatch("wave ([0-9]+)(, push)?", table)
     if wave:
-        return [Term("push" if wave[2] else "angle", float(wave[1]))]
-    return [Term(kind) for kind in _DRAWN.get(table, (table.split(", ")[0],))]
+        return [CurveTerm("push" if wave[2] else "angle", float(wave[1]))]
+    return [CurveTerm(kind) for kind in _TERMS_OF_TABLE.get(table, (table.split(", ")[0],))]
 
 
-def which_terms(found: Leftover, most: int = 5) -> list[Term]:
+def candidate_terms(found: RemainingDependence, most: int = 5) -> list[CurveTerm]:
     """The terms worth fitting, the most telling first, with a share near the best; none where chance does as well."""
-    telling = [d for d in found.dependences if d.share > 0.3 * found.share] if found.p_value < SURE else []
-    return list(dict.fromkeys(t for d in telling for t in terms_for(d.table)))[:most]
+    telling = (
+        [d for d in found.dependences if d.share > 0.3 * found.share]
+        if found.p_value < thresholds.DEPENDENCE_MAX_P_VALUE
+        else []
+    )
+    return list(dict.fromkeys(t for d in telling for t in terms_of_table(d.table)))[:most]

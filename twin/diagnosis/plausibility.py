@@ -8,143 +8,123 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.diagnosis import thresholds
 from twin.estimation import likelihood
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 
-Rule = Callable[[Sequence[Case], Mapping[str, float]], bool]
-
-#: What repeats has been seen so many times.
-REPEATS = 2.0
-#: A wave that moves what is read by less than this share of a count is one of its rounding: along a steady motion that
-#: repeats, too, at a frequency of its own.
-ROUNDED = 0.1
-#: Share of a disturbance's wave that follows the motion from which on it does not come from outside.
-OWN = 0.8
-#: Where a wave has no size nothing holds its phase, and a climb throws it further than this, rad.
-FLUNG = 100.0
-#: A lag or delay of less than this share of the time between two readings is none: when in it the drive took its
-#: command and the encoder was read, no recording says.
-BETWEEN = 0.5
-#: An encoder that errs by more over a turn is one that nobody would have built in, rad.
-OFF_CENTRE = 0.1
-#: Share of the readings at which friction that varies over a turn is more than nothing.
-RUBS = 0.25
-#: Share of a recording at its beginning and its end that is too little to know a load by.
-BESIDE = 0.05
-#: Damping ratio from which on a joint amplifies no frequency by more than 1 / (2 z sqrt(1 - z^2)), a sixth: what then
-#: passes from motor to link is late, as in a lag, rather than ringing. Couplings and gears have a tenth of it.
-STILL = 0.5
-#: What moves by less than a count in this time, s, might as well rest.
-CREEPS = 0.1
-#: A stop, or friction before it slides, gives way by no larger share of the travel.
-GIVES = 0.2
-#: Friction that gives by fewer counts slides at once, as far as an encoder tells; and every dry contact gives by
-#: hundredths of a millimetre, which is so much of a turn, rad, and dry friction still.
-COUNTS, YIELDS = 3.0, 1e-3
-#: So much of the travel away from a stop the link does not touch it.
-APART = 0.02
+Rule = Callable[[Sequence[PreparedRecording], Mapping[str, float]], bool]
 
 
-def _places(cases: Sequence[Case]) -> NDArray[np.float64]:
-    return np.concatenate([c.places for c in cases])
+def _positions(cases: Sequence[PreparedRecording]) -> NDArray[np.float64]:
+    return np.concatenate([c.positions for c in cases])
 
 
-def _ripple(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+def _ripple(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """It has repeated."""
-    return values["ripple_order"] * float(np.ptp(_places(cases))) >= REPEATS * 2.0 * math.pi
+    return values["ripple_order"] * float(np.ptp(_positions(cases))) >= thresholds.MIN_REPEATS * 2.0 * math.pi
 
 
-def _disturbance(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+def _disturbance(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """It has repeated, moves more than rounding does, and comes from outside."""
     cycles = values["disturbance_frequency"] * max(float(c.drive.time[-1]) for c in cases)
     rate = 2.0 * math.pi * values["disturbance_frequency"]
     moved = abs(values["disturbance"]) / rate ** (1 if cases[0].drive.speed else 2)
-    moves = any(moved > ROUNDED * c.recording.resolution for c in cases)
-    return cycles >= REPEATS and moves and all(_follows(c, values) < OWN for c in cases)
+    moves = any(moved > thresholds.MIN_WAVE_OF_COUNT * c.recording.resolution for c in cases)
+    return (
+        cycles >= thresholds.MIN_REPEATS
+        and moves
+        and all(_state_share(c, values) < thresholds.MAX_STATE_SHARE for c in cases)
+    )
 
 
-def _load(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+def _load(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """It was another before, and has been this one since."""
     ends = [float(c.drive.time[-1]) for c in cases]
-    return any(BESIDE * end < values["load_time"] < (1.0 - BESIDE) * end for end in ends)
+    return any(
+        thresholds.MIN_SHARE_OF_TIME * end < values["load_time"] < (1.0 - thresholds.MIN_SHARE_OF_TIME) * end
+        for end in ends
+    )
 
 
-def _spring(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+def _spring(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """It is more than a constant."""
-    places = _places(cases)
+    places = _positions(cases)
     middle = 0.5 * float(places.max() + places.min())
     return abs(values["spring_rest"] - middle) <= 2.0 * float(np.ptp(places))
 
 
-def _joint(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+def _joint(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """There is a motor on its one side, something on the other, and they swing."""
     least, most = likelihood.bounds_of("motor_share")
-    return 1.5 * least < values["motor_share"] < 1.0 - 1.5 * (1.0 - most) and values["joint_damping"] < STILL
+    return (
+        1.5 * least < values["motor_share"] < 1.0 - 1.5 * (1.0 - most)
+        and values["joint_damping"] < thresholds.MAX_DAMPING_RATIO
+    )
 
 
-def _stribeck(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+def _stribeck(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """Friction that falls with speed falls within some speed, and one that readings can tell from rest; and the axis,
     were it pushed by as much as it is held, moves by a count before it has fallen: every dry contact gives by as much,
     and what its bristles do to a reversal looks like friction that is many times as large at rest.
     """
     least, _ = likelihood.bounds_of("stribeck_velocity")
     speed, held = values["stribeck_velocity"], values["coulomb_friction"] + values["stribeck_friction"]
-    told = min(c.recording.resolution / (1.0 if c.drive.speed else CREEPS) for c in cases)
+    told = min(c.recording.resolution / (1.0 if c.drive.speed else thresholds.CREEP_TIME) for c in cases)
     count = min((c.recording.resolution for c in cases if not c.drive.speed), default=0.0)
     return speed > max(2.0 * least, told) and speed**2 > 2.0 * held * count
 
 
-def _fade(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+def _fade(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """It takes gain away: what gives some is no heat."""
     return values["fade"] > 0.0
 
 
-def _late(name: str) -> Rule:
+def _delay_rule(name: str) -> Rule:
     """What comes late is not lost between two readings."""
-    return lambda cases, values: values[name] > BETWEEN * max(c.step for c in cases)
+    return lambda cases, values: values[name] > thresholds.MIN_DELAY_OF_STEP * max(c.step for c in cases)
 
 
-def _eccentricity(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+def _eccentricity(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """The encoder still shows about where the link is."""
-    return values["eccentricity"] < OFF_CENTRE
+    return values["eccentricity"] < thresholds.MAX_ECCENTRICITY
 
 
-def _varying(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+def _position_dependent_friction(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """It holds the link back on a good part of the way, not where the way ends: that is a stop."""
-    wave = values["friction_variation"] * np.sin(_places(cases) - values["friction_angle"])
-    return float(np.mean(values["coulomb_friction"] + wave > 0.0)) > RUBS
+    wave = values["friction_variation"] * np.sin(_positions(cases) - values["friction_angle"])
+    return float(np.mean(values["coulomb_friction"] + wave > 0.0)) > thresholds.MIN_FRICTION_SHARE
 
 
-def _stop(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+def _stop(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """It stops the link, which comes to it: what gives way further is a spring that grows, and where a recording begins
     nothing has been met.
     """
-    places = _places(cases)
+    places = _positions(cases)
     travel = float(np.ptp(places))
     deepest = max(float(places.max()) - values["stop_upper"], values["stop_lower"] - float(places.min()))
     depths = [
-        sign * (case.places - values[stop]) / travel
+        sign * (case.positions - values[stop]) / travel
         for case in cases
         for stop, sign in (("stop_upper", 1.0), ("stop_lower", -1.0))
     ]
     met = [depth for depth in depths if depth.max() > 0.0]
-    return deepest <= GIVES * travel and (not met or any(_comes(depth) for depth in met))
+    return deepest <= thresholds.MAX_GIVE * travel and (not met or any(_approaches_stop(depth) for depth in met))
 
 
-def _comes(depth: NDArray[np.float64]) -> bool:
+def _approaches_stop(depth: NDArray[np.float64]) -> bool:
     """Whether the depths (N,) behind a stop, as shares of the travel, are not those of the beginning alone."""
-    away = np.flatnonzero(depth < -APART)
+    away = np.flatnonzero(depth < -thresholds.STOP_CLEARANCE)
     return len(away) > 0 and bool(np.any(depth[away[0] :] > 0.0))
 
 
-def _gives(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+def _presliding(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """It slides on the way, and gives by more than the encoder rounds to, and than any dry contact, before it does."""
-    seen = [YIELDS * c.recording.lever for c in cases]
-    seen += [COUNTS * c.recording.resolution for c in cases if not c.drive.speed]
-    return max(seen) < values["unknown_bend_give"] < GIVES * float(np.ptp(_places(cases)))
+    seen = [thresholds.MIN_GIVE_ANGLE * c.recording.lever for c in cases]
+    seen += [thresholds.MIN_GIVE_COUNTS * c.recording.resolution for c in cases if not c.drive.speed]
+    return max(seen) < values["unknown_bend_give"] < thresholds.MAX_GIVE * float(np.ptp(_positions(cases)))
 
 
-def _swings(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+def _flexible_load(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """It is held loosely enough to be left behind: what is not is inertia of the link."""
     _, stiffest = likelihood.bounds_of("unknown_swing_stiffness")
     _, most = likelihood.bounds_of("unknown_swing_damping")
@@ -159,33 +139,35 @@ RULES: Mapping[str, Rule] = {
     "joint_elasticity": _joint,
     "stribeck_friction": _stribeck,
     "thermal_fade": _fade,
-    "motor_lag": _late("lag_time"),
-    "input_delay": _late("delay"),
+    "motor_lag": _delay_rule("lag_time"),
+    "input_delay": _delay_rule("delay"),
     "encoder_eccentricity": _eccentricity,
-    "position_dependent_friction": _varying,
+    "position_dependent_friction": _position_dependent_friction,
     "end_stop": _stop,
-    "unknown_bend": _gives,
-    "unknown_swing": _swings,
+    "unknown_bend": _presliding,
+    "unknown_swing": _flexible_load,
 }
 
 
-def _bent(cases: Sequence[Case], point: Point) -> set[str]:
+def _implausible_effects(cases: Sequence[PreparedRecording], point: Fit) -> set[str]:
     """The effects of the fit that are no longer what their names say; of what has a phase also those without a size."""
     phases = {e.id: e.screen.phase for e in point.structure.effects if e.screen is not None}
-    flung = {effect for effect, phase in phases.items() if phase and not abs(point.values[phase]) < FLUNG}
+    flung = {
+        effect for effect, phase in phases.items() if phase and not abs(point.values[phase]) < thresholds.MAX_PHASE
+    }
     ruled = {effect for effect, rule in RULES.items() if effect in point.structure and not rule(cases, point.values)}
     return flung | ruled
 
 
-def plausible(cases: Sequence[Case], point: Point, before: Point | None = None) -> bool:
+def is_plausible(cases: Sequence[PreparedRecording], point: Fit, before: Fit | None = None) -> bool:
     """Whether every effect of the fit still is what its name says, or was not so in the model before it either: what a
     first model is told to contain, as a delay that there is none of, speaks against nothing that is added.
     """
-    bent = _bent(cases, point)
-    return not bent or (before is not None and bent <= _bent(cases, before))
+    bent = _implausible_effects(cases, point)
+    return not bent or (before is not None and bent <= _implausible_effects(cases, before))
 
 
-def _follows(case: Case, values: Mapping[str, float]) -> float:
+def _state_share(case: PreparedRecording, values: Mapping[str, float]) -> float:
     """The share of a periodic disturbance's wave that position and direction of motion predict along a recording.
 
     Where the motion itself is periodic, a disturbance with its period cannot be told from a torque that depends on

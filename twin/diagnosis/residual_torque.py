@@ -14,20 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.estimation import likelihood
-from twin.estimation.likelihood import Case
+from twin.estimation.likelihood import PreparedRecording
 from twin.model.stepper import Structure
 
 FloatArray = NDArray[np.float64]
 
 #: Memory of the filter that reads the missing torque, s: short enough to see an edge, long enough to beat the count.
-MEMORY = 0.04
+TORQUE_MEMORY = 0.04
 #: Length of the averages in which it is regressed and laid out in tables, s.
-AVERAGE = 0.02
+AVERAGING_TIME = 0.02
 _BLOCKS = 20
 
 
 @dataclass(frozen=True, eq=False)
-class Missing:
+class MissingTorque:
     """The torque that the model lacks, along the recording. All arrays have shape (N,)."""
 
     time: FloatArray  # s
@@ -39,25 +39,25 @@ class Missing:
     step: float  # median sample time, s
 
     @property
-    def size(self) -> float:
+    def rms(self) -> float:
         """Root mean square of the torque; zero where nothing was read."""
         read = self.torque[np.isfinite(self.torque)]
         return float(np.sqrt(np.sum(np.square(read)) / max(len(read), 1)))
 
     @property
-    def acceleration_size(self) -> float:
+    def acceleration_rms(self) -> float:
         """Root mean square of the acceleration of the axis."""
         return float(np.sqrt(np.mean(np.square(self.acceleration))))
 
     @property
-    def loudest(self) -> float:
+    def time_of_largest(self) -> float:
         """When it is largest, s."""
         return float(self.time[np.nanargmax(np.abs(self.torque))])
 
-    def between(self, begin: float, end: float) -> Missing:
+    def between(self, begin: float, end: float) -> MissingTorque:
         """From one moment (s) to another."""
         here = (self.time >= begin) & (self.time <= end)
-        return Missing(
+        return MissingTorque(
             self.time[here], self.torque[here], self.position[here], self.velocity[here], self.acceleration[here],
             self.command[here], self.step,
         )  # fmt: skip
@@ -77,8 +77,8 @@ class Missing:
         return chosen
 
     def averages(self) -> dict[str, FloatArray]:
-        """Torque and states, each averaged over `AVERAGE` (M,); NaN where any of what is averaged is."""
-        width = max(round(AVERAGE / self.step), 1)
+        """Torque and states, each averaged over `AVERAGING_TIME` (M,); NaN where any of what is averaged is."""
+        width = max(round(AVERAGING_TIME / self.step), 1)
         count = len(self.time) // width
         columns = {
             "torque": self.torque,
@@ -95,7 +95,7 @@ VARIABLES = ("position", "velocity", "direction", "acceleration", "input", "time
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class TorqueShape:
     """The missing torque over one variable: bin centres, mean, standard error (each (bins,)), and what it explains."""
 
     variable: str
@@ -114,7 +114,7 @@ class Segment:
     share: float
 
 
-def _delayed(values: FloatArray, samples: int) -> FloatArray:
+def _advanced(values: FloatArray, samples: int) -> FloatArray:
     if samples <= 0:
         return values
     shifted = np.full_like(values, np.nan)
@@ -122,21 +122,23 @@ def _delayed(values: FloatArray, samples: int) -> FloatArray:
     return shifted
 
 
-def missing_torque(case: Case, structure: Structure, values: Mapping[str, float], memory: float = MEMORY) -> Missing:
+def missing_torque(
+    case: PreparedRecording, structure: Structure, values: Mapping[str, float], memory: float = TORQUE_MEMORY
+) -> MissingTorque:
     """Read the missing torque off the corrections of a filter with the given memory, s."""
     step = float(np.median(np.diff(case.drive.time)))
     memory = max(memory, 4.0 * step)
-    run = likelihood.states(case, structure, values, likelihood.density_of(case, memory))
+    run = likelihood.filtered_states(case, structure, values, likelihood.process_noise_of(case, memory))
     error = case.drive.measured - run.reading
     interval = np.diff(case.drive.time, append=case.drive.time[-1] + step)
     raw = run.pull * error / interval
     # A second-order filter at its optimum delays by the square root of two of its memory; a first-order one by it.
     late = round((1.0 if case.drive.speed else np.sqrt(2.0)) * memory / step)
-    torque = _delayed(raw, late)
+    torque = _advanced(raw, late)
     for begun in (0, *np.flatnonzero(np.isnan(run.reading))):
         torque[max(begun - late, 0) : begun + int(5.0 * memory / step)] = np.nan
     velocity = run.states[:, 1]
-    return Missing(
+    return MissingTorque(
         time=case.drive.time,
         torque=torque,
         position=run.states[:, 0],
@@ -155,7 +157,7 @@ def _bins(variable: str, values: FloatArray, count: int) -> NDArray[np.intp]:
     return np.searchsorted(edges, values)
 
 
-def shape(missing: Missing, variable: str, bins: int = 30) -> Shape:
+def torque_shape(missing: MissingTorque, variable: str, bins: int = 30) -> TorqueShape:
     """The mean missing torque over a variable, and what it predicts on blocks of time held out in turn."""
     values = missing.state(variable)
     ok = np.isfinite(missing.torque) & np.isfinite(values)
@@ -176,15 +178,15 @@ def shape(missing: Missing, variable: str, bins: int = 30) -> Shape:
     scatter = np.sqrt(np.sum((weights > 0) * (per_block - mean[:, None]) ** 2, axis=1) / seen)
     centre = np.bincount(which, values, count) / np.maximum(weight, 1.0)
     filled = weight > 0
-    return Shape(variable, centre[filled], mean[filled], (scatter / np.sqrt(seen))[filled], max(share, 0.0))
+    return TorqueShape(variable, centre[filled], mean[filled], (scatter / np.sqrt(seen))[filled], max(share, 0.0))
 
 
-def shapes(missing: Missing) -> list[Shape]:
+def torque_shapes(missing: MissingTorque) -> list[TorqueShape]:
     """The shape over every variable, the most telling first."""
-    return sorted((shape(missing, v) for v in VARIABLES), key=lambda s: -s.share)
+    return sorted((torque_shape(missing, v) for v in VARIABLES), key=lambda s: -s.share)
 
 
-def segments(missing: Missing, window: float = 0.5, most: int = 8) -> list[Segment]:
+def segments(missing: MissingTorque, window: float = 0.5, most: int = 8) -> list[Segment]:
     """The stretches that hold most of the misfit, in order of time."""
     ok = np.isfinite(missing.torque)
     if not ok.any():

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnosis.residual_torque import Missing, Segment, Shape
+from twin.diagnosis.residual_torque import MissingTorque, Segment, TorqueShape
 from twin.io.recording import Recording, faults_of
 from twin.model.fitted_model import Model
 
@@ -104,10 +104,10 @@ class Diagnosis:
     after: Model
     fit: Mapping[str, Mapping[str, Fitness]]
     traces: tuple[Trace, ...]
-    missing_before: Missing  # in it
-    missing_after: Missing
-    shapes_before: tuple[Shape, ...]
-    shapes_after: tuple[Shape, ...]
+    missing_before: MissingTorque  # in it
+    missing_after: MissingTorque
+    shapes_before: tuple[TorqueShape, ...]
+    shapes_after: tuple[TorqueShape, ...]
     recordings: tuple[Recording, ...]
     experiment: Experiment = field(default_factory=Experiment)
     undecided: tuple[Undecided, ...] = ()

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from twin.codegen.simd_derivatives import WIDTH
 from twin.diagnosis import residual_torque
-from twin.diagnosis.plausibility import REPEATS
-from twin.diagnosis.residual_torque import Missing
+from twin.diagnosis.residual_torque import MissingTorque
+from twin.diagnosis.thresholds import MIN_REPEATS
 from twin.effects.catalogue import CANDIDATES, EFFECTS, pages
 from twin.estimation import likelihood, multistart, preparation
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 from twin.model.stepper import Structure
 from twin.parallel import each
 
@@ -32,15 +32,15 @@ FloatArray = NDArray[np.float64]
 _TURN = 2.0 * math.pi
 #: So many of the strongest lines of the missing torque are tried, further apart than this share of their rate, and
 #: looked for at so many rates in the width of one.
-_LINES, _APART, _FINE = 3, 0.15, 4.0
+_MAX_LINES, _MIN_LINE_SPACING, _RATES_PER_LINE = 3, 0.15, 4.0
 
 
-def _clipped(torque: FloatArray) -> FloatArray:
+def _without_impacts(torque: FloatArray) -> FloatArray:
     """The torque (N,) without its largest hundredths, which impacts make."""
     return np.asarray(np.clip(torque, *np.quantile(torque, [0.01, 0.99])))
 
 
-def _lines(
+def _spectral_lines(
     phase: FloatArray, torques: Sequence[FloatArray], circle: float, lowest: float, highest: float
 ) -> list[float]:  # fmt: skip
     """The rates (per unit of phase) between two at which torques (N,), each NaN where it is unknown, are most periodic
@@ -58,39 +58,39 @@ def _lines(
         if not read.any():
             continue
         place = (phase[read] % circle * (8 * last / circle)).astype(np.intp) % (8 * last)
-        clipped = _clipped(torque[read])
+        clipped = _without_impacts(torque[read])
         around = np.bincount(place, clipped - clipped.mean(), 8 * last)
         power += np.square(np.abs(np.fft.rfft(around)[first : last + 1]))
     beside = np.pad(power, 1, constant_values=-1.0)
     peaks = np.flatnonzero((power >= beside[:-2]) & (power >= beside[2:]))
     chosen: list[float] = []
     for found in (rate * (first + peaks[np.argsort(-power[peaks])])).tolist():
-        if len(chosen) < _LINES and all(abs(found - c) > _APART * c for c in chosen):
+        if len(chosen) < _MAX_LINES and all(abs(found - c) > _MIN_LINE_SPACING * c for c in chosen):
             chosen.append(found)
     return chosen
 
 
-def _heating(missing: Missing, values: Mapping[str, float], span: float) -> float:
+def _heating_command(missing: MissingTorque, values: Mapping[str, float], span: float) -> float:
     """The command that would heat a held motor as much as the recording does in the mean.
 
     A motor that turns draws far less than it would if it were held: in units of what the largest command does to a held
     one, a fade of a sixth would be larger than any fade may be.
     """
-    share, gain = neutral("thermal_fade")["fade_emf"], max(values["input_gain"], 1e-9)
+    share, gain = neutral_values("thermal_fade")["fade_emf"], max(values["input_gain"], 1e-9)
     current = missing.command - share * values.get("viscous_friction", 0.0) / gain * missing.velocity
     mean = float(np.sqrt(np.nanmean(np.square(current)))) if np.isfinite(current).any() else span
     return min(max(mean, 0.05 * span), span)
 
 
-def grids(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float]
+def trial_grids(
+    cases: Sequence[PreparedRecording], structure: Structure, values: Mapping[str, float]
 ) -> dict[str, list[dict[str, float]]]:
     """For each candidate, values of its non-linear parameters that are worth a try on these recordings."""
     longest = max(cases, key=lambda c: c.drive.time[-1])
     span = float(max(np.max(np.abs(c.recording.input)) for c in cases))
     end = float(longest.drive.time[-1])
     missing = residual_torque.missing_torque(longest, structure, values)
-    places = np.concatenate([c.places for c in cases])
+    places = np.concatenate([c.positions for c in cases])
     travel = float(np.ptp(places))
     out: dict[str, list[dict[str, float]]] = {}
     for effect in CANDIDATES:
@@ -104,17 +104,17 @@ def grids(
     out["stribeck_friction"] = [{"stribeck_velocity": f * fast} for f in (0.02, 0.06, 0.15)]
     if travel > 0.0:
         # A ripple is one that is seen to repeat; on more than half a turn, a whole number of times a turn.
-        least = REPEATS * _TURN / travel
+        least = MIN_REPEATS * _TURN / travel
         turning = not longest.recording.output_unit.startswith("m") and travel > 3.0
-        circle, most = (_TURN, 60.0) if turning else (_FINE * travel, 45.0 * least)
+        circle, most = (_TURN, 60.0) if turning else (_RATES_PER_LINE * travel, 45.0 * least)
         # A wave of the motor's angle is another one of the link's as the motor pushes from the other side of its gap.
         sides = [np.where(np.sign(missing.command) == s, missing.torque, np.nan) for s in (1.0, -1.0)]
-        orders = (_lines(missing.position, t, circle, least, most) for t in ([missing.torque], sides))
+        orders = (_spectral_lines(missing.position, t, circle, least, most) for t in ([missing.torque], sides))
         out["torque_ripple"] = [{"ripple_order": n} for n in dict.fromkeys(itertools.chain(*orders))]
     slowest, fastest = _TURN * max(0.1, 2.0 / end), _TURN * min(25.0, 0.2 / missing.step)
-    rates = _lines(missing.time, [missing.torque], _FINE * end, slowest, fastest)
+    rates = _spectral_lines(missing.time, [missing.torque], _RATES_PER_LINE * end, slowest, fastest)
     out["periodic_disturbance"] = [{"disturbance_frequency": r / _TURN} for r in rates]
-    heats = _heating(missing, values, span)
+    heats = _heating_command(missing, values, span)
     fades = dict.fromkeys(np.clip([0.15 * end, 0.5 * end, 1.5 * end], *likelihood.bounds_of("fade_time")).tolist())
     out["thermal_fade"] = [{"fade_time": t, "fade_reference": heats} for t in fades]
     out["supply_sag"] = [{**row, "sag_reference": span} for row in out["supply_sag"]]
@@ -152,10 +152,10 @@ def grids(
             for share in (0.15, 0.3, 0.45)
             for gap in (0.015 * lever, 0.04 * lever)
         ]
-    return {effect: sided(rows, structure, values, effect) for effect, rows in out.items()}
+    return {effect: with_gap_sides(rows, structure, values, effect) for effect, rows in out.items()}
 
 
-def sided(
+def with_gap_sides(
     rows: Sequence[dict[str, float]], structure: Structure, values: Mapping[str, float], effect: str
 ) -> list[dict[str, float]]:  # fmt: skip
     """The rows, each with the effect on the link and on the motor where that is open.
@@ -170,20 +170,20 @@ def sided(
 
 
 #: Candidates whose gain has no neutral value to differentiate at, or acts too far from it: tried as they are.
-DIRECT = ("drive_saturation", "motor_lag", "input_delay", "end_stop", "joint_elasticity")
+WITHOUT_SCORE_TEST = ("drive_saturation", "motor_lag", "input_delay", "end_stop", "joint_elasticity")
 
 
 #: Candidates that repeat with a full turn: a linear axis has none.
-_TURNING = ("gravity", "position_dependent_friction", "encoder_eccentricity")
+_NEEDS_TURN = ("gravity", "position_dependent_friction", "encoder_eccentricity")
 #: Travel from which on a wave of one turn is told from other physics, rad. An encoder off centre is so only by a wave
 #: that is seen to bend; friction turns with the motion, as nothing else that goes with the angle does, and gravity is
 #: known by its angle of rest.
-_TOLD = {"encoder_eccentricity": 0.5 * math.pi, "position_dependent_friction": 0.5}
+_MIN_TRAVEL = {"encoder_eccentricity": 0.5 * math.pi, "position_dependent_friction": 0.5}
 #: Candidates that happen at a moment of their own: not at the same one of several recordings.
 _MOMENTARY = ("load_change", "periodic_disturbance")
 
 
-def offered(cases: Sequence[Case], candidates: Sequence[str]) -> list[str]:
+def testable_candidates(cases: Sequence[PreparedRecording], candidates: Sequence[str]) -> list[str]:
     """The candidates that recordings of this kind can show.
 
     Several recordings of speed begin at angles that nobody knows, so that nothing of position can be fitted to all.
@@ -192,10 +192,10 @@ def offered(cases: Sequence[Case], candidates: Sequence[str]) -> list[str]:
     readings = [c.drive.measured for c in cases]
     out: set[str] = set()
     if first.output_unit.startswith("m"):
-        out.update(_TURNING)
+        out.update(_NEEDS_TURN)
     if not first.is_speed:
         travel = max(float(np.nanmax(y) - np.nanmin(y)) for y in readings)
-        out.update(e for e, least in _TOLD.items() if travel < least)
+        out.update(e for e, least in _MIN_TRAVEL.items() if travel < least)
     if len(cases) > 1:
         out.update(_MOMENTARY)
     if first.is_speed:
@@ -209,52 +209,52 @@ def offered(cases: Sequence[Case], candidates: Sequence[str]) -> list[str]:
 _SMALLEST = 1e-9
 
 #: Starts of such a candidate that are looked at closely, with derivatives; steps of each, and more of the likeliest.
-_CLOSELY, _STEPS, _MORE = 3, 2, 3
+_MAX_CLOSE_STARTS, _FIRST_STEPS, _MORE_STEPS = 3, 2, 3
 
 
 @dataclass(frozen=True)
-class Start:
+class ScoreStart:
     """Where a candidate would like to begin, and the gain in deviance that the score test promises."""
 
     values: dict[str, float]  # of the whole model
     steps: dict[str, float]  # from there, to where the candidate would like to be and what follows it
-    promise: float
+    promised_gain: float
 
     def at(self, share: float) -> dict[str, float]:
         """The values after a share of the steps."""
-        return {**self.values, **inside({n: self.values[n] + share * s for n, s in self.steps.items()})}
+        return {**self.values, **clipped_to_bounds({n: self.values[n] + share * s for n, s in self.steps.items()})}
 
 
-def neutral(effect: str) -> dict[str, float]:
+def neutral_values(effect: str) -> dict[str, float]:
     """Values at which the effect and what it brings along do nothing; the usual start where there is none."""
     return {
         p.name: (p.neutral if p.neutral is not None else p.start) for page in pages(effect) for p in page.parameters
     }
 
 
-def _score(base: Point, point: Point, news: Sequence[str]) -> tuple[FloatArray, float]:
+def _score_test(base: Fit, point: Fit, news: Sequence[str]) -> tuple[FloatArray, float]:
     """One Newton step over the base's parameters and new ones, and the deviance that the new ones promise."""
     index = np.array([point.free.index(n) for n in (*base.free, *news)])
-    moves = point.traced[index] | (np.arange(len(index)) >= len(base.free))
+    moves = point.visible[index] | (np.arange(len(index)) >= len(base.free))
     index, old = index[moves], int(moves.sum()) - len(news)
-    size = np.sqrt(np.maximum(np.diag(point.normal), 1e-300))[index]
+    size = np.sqrt(np.maximum(np.diag(point.information), 1e-300))[index]
     g = point.gradient[index] / size
-    block = point.normal[np.ix_(index, index)] / np.outer(size, size) + 1e-9 * np.eye(len(index))
-    ahead = likelihood.solved(block, g)
-    without = likelihood.solved(block[:old, :old], g[:old])
+    block = point.information[np.ix_(index, index)] / np.outer(size, size) + 1e-9 * np.eye(len(index))
+    ahead = likelihood.least_squares_solution(block, g)
+    without = likelihood.least_squares_solution(block[:old, :old], g[:old])
     step = np.zeros(len(moves))
     step[moves] = ahead / size
     return step, max(float(g @ ahead - g[:old] @ without), 0.0)
 
 
-def placed(base: Point, structure: Structure, effect: str, trial: Mapping[str, float]) -> dict[str, float]:
+def values_with(base: Fit, structure: Structure, effect: str, trial: Mapping[str, float]) -> dict[str, float]:
     """The base's values, and the effect's as in the trial, or at which it does nothing."""
-    unmoved = {k: v for k, v in neutral(effect).items() if k not in base.values}
-    return preparation.completed(structure, {**base.values, **unmoved, **trial})
+    unmoved = {k: v for k, v in neutral_values(effect).items() if k not in base.values}
+    return preparation.complete_values(structure, {**base.values, **unmoved, **trial})
 
 
 @dataclass(frozen=True, eq=False)
-class _Row:
+class _Trial:
     """A candidate that has a neutral value, as it is tried there; the base's and its own values, and what is new."""
 
     effect: str
@@ -264,25 +264,25 @@ class _Row:
     news: tuple[str, ...]
 
 
-def _row(base: Point, effect: str, trial: Mapping[str, float]) -> _Row:
+def _trial(base: Fit, effect: str, trial: Mapping[str, float]) -> _Trial:
     screen = EFFECTS[effect].screen
     assert screen is not None
-    structure = extended(base.structure, effect)
+    structure = structure_with(base.structure, effect)
     others = [EFFECTS[i].screen for i in EFFECTS[effect].includes if i not in base.structure]
-    values = placed(base, structure, effect, trial)
+    values = values_with(base, structure, effect, trial)
     phase = () if screen.phase is None else (screen.phase,)
     if phase:
         # Of no size at all it has no phase either; the smallest shows what both lead to.
         values |= {screen.gain: _SMALLEST, phase[0]: 0.0}
     news = (screen.gain, *phase, *(s.gain for s in others if s is not None))
-    return _Row(effect, structure, values, bool(phase), news)
+    return _Trial(effect, structure, values, bool(phase), news)
 
 
-def _together(base: Point, rows: Sequence[_Row]) -> list[list[_Row]]:
+def _group_trials(base: Fit, rows: Sequence[_Trial]) -> list[list[_Trial]]:
     """The rows in groups that one run serves: what does nothing is in no other's way, if both want the same values and
     there are lanes for the slopes of all. What has a phase does not quite nothing, and keeps to its like.
     """
-    groups: list[list[_Row]] = []
+    groups: list[list[_Trial]] = []
     for row in rows:
         for group in groups:
             shared = {n: v for other in group for n, v in other.values.items()}
@@ -296,128 +296,139 @@ def _together(base: Point, rows: Sequence[_Row]) -> list[list[_Row]]:
     return groups
 
 
-def _starts(cases: Sequence[Case], base: Point, rows: Sequence[_Row]) -> list[Start]:
+def _score_starts(cases: Sequence[PreparedRecording], base: Fit, rows: Sequence[_Trial]) -> list[ScoreStart]:
     """Starts of candidates from the exact sensitivities where none of them does anything."""
     structure = base.structure.with_(*(i for row in rows for i in row.structure.ids))
     news = dict.fromkeys(n for row in rows for n in row.news)
-    values = preparation.completed(structure, {n: v for row in rows for n, v in row.values.items()})
-    mine = preparation.with_steps(cases, structure)
-    point = likelihood.evaluate(mine, structure, values, base.density, (*base.free, *news))
-    return [_start(base, point, row) for row in rows]
+    values = preparation.complete_values(structure, {n: v for row in rows for n, v in row.values.items()})
+    mine = preparation.with_internal_step(cases, structure)
+    point = likelihood.evaluate(mine, structure, values, base.process_noise, (*base.free, *news))
+    return [_score_start(base, point, row) for row in rows]
 
 
-def _start(base: Point, point: Point, row: _Row) -> Start:
+def _score_start(base: Fit, point: Fit, row: _Trial) -> ScoreStart:
     """The start of one of the candidates that a run has served."""
     screen = EFFECTS[row.effect].screen
     assert screen is not None
-    step, promise = _score(base, point, row.news)
+    step, promise = _score_test(base, point, row.news)
     found = dict(zip((*base.free, *row.news), step.tolist(), strict=True))
     values = row.values
     if screen.phase is not None:
         assert screen.combine is not None
         found[screen.gain], phase = screen.combine(found[screen.gain], _SMALLEST * found.pop(screen.phase))
         values = {**values, screen.gain: 0.0, screen.phase: phase}
-    return Start(values, found, promise)
+    return ScoreStart(values, found, promise)
 
 
-def inside(values: Mapping[str, float]) -> dict[str, float]:
+def clipped_to_bounds(values: Mapping[str, float]) -> dict[str, float]:
     """Values moved inside their parameters' bounds."""
     bounds = {n: likelihood.bounds_of(n) for n in values}
     return {n: float(min(max(v, bounds[n][0]), bounds[n][1])) for n, v in values.items()}
 
 
-def _promised(point: Point) -> float:
+def _promised_gain(point: Fit) -> float:
     """Deviance that one Gauss-Newton step over all free parameters promises to take away."""
-    size = np.sqrt(np.maximum(np.diag(point.normal), 1e-300))
-    a = point.normal / np.outer(size, size) + 1e-6 * np.eye(len(size))
+    size = np.sqrt(np.maximum(np.diag(point.information), 1e-300))
+    a = point.information / np.outer(size, size) + 1e-6 * np.eye(len(size))
     g = point.gradient / size
-    return float(g @ likelihood.solved(a, g))
+    return float(g @ likelihood.least_squares_solution(a, g))
 
 
 def _direct_start(
-    cases: Sequence[Case], seen: Sequence[Case], base: Point, effect: str, trials: Sequence[Mapping[str, float]],
+    cases: Sequence[PreparedRecording],
+    seen: Sequence[PreparedRecording],
+    base: Fit,
+    effect: str,
+    trials: Sequence[Mapping[str, float]],
     free: tuple[str, ...],
-) -> tuple[float, dict[str, float]]:  # fmt: skip
+) -> tuple[float, dict[str, float]]:
     """What a candidate that is tried as it is promises at best, the rest of the model's regain too, and where; that is
     looked for in what is `seen` of the recordings.
     """
-    structure = extended(base.structure, effect)
-    places = [placed(base, structure, effect, inside(t)) for t in trials]
+    structure = structure_with(base.structure, effect)
+    places = [values_with(base, structure, effect, clipped_to_bounds(t)) for t in trials]
     # A valley may be narrow, and its walls are what a place beside it shows: the likeliest walk a little before they
     # are judged, and the likeliest of every choice that no walk changes.
-    places.sort(key=lambda v: likelihood.evaluate(seen, structure, v, base.density).deviance)
+    places.sort(key=lambda v: likelihood.evaluate(seen, structure, v, base.process_noise).deviance)
     first: dict[tuple[float, ...], dict[str, float]] = {}
     for place in places:
         first.setdefault(tuple(v for n, v in place.items() if n not in free), place)
     rest = [place for place in places if place not in first.values()]
-    near = [*first.values(), *rest[: max(_CLOSELY - len(first), 0)]]
-    points = [likelihood.climb(seen, structure, v, base.density, free, rounds=_STEPS, tolerance=1.0) for v in near]
-    best = likelihood.climb_on(seen, min(points, key=lambda p: p.deviance), rounds=_MORE, tolerance=1.0)
-    found = likelihood.evaluate(cases, structure, best.values, base.density, free)
-    return base.deviance - found.deviance + _promised(found), found.values
+    near = [*first.values(), *rest[: max(_MAX_CLOSE_STARTS - len(first), 0)]]
+    points = [
+        likelihood.levenberg_marquardt(seen, structure, v, base.process_noise, free, rounds=_FIRST_STEPS, tolerance=1.0)
+        for v in near
+    ]
+    best = likelihood.levenberg_marquardt_from(
+        seen, min(points, key=lambda p: p.deviance), rounds=_MORE_STEPS, tolerance=1.0
+    )
+    found = likelihood.evaluate(cases, structure, best.values, base.process_noise, free)
+    return base.deviance - found.deviance + _promised_gain(found), found.values
 
 
 @dataclass(frozen=True)
-class Entry:
+class Candidate:
     """A candidate at the start line, and the places from the likeliest of which a climb begins."""
 
     effect: str
     structure: Structure
     free: tuple[str, ...]
     places: tuple[dict[str, float], ...]
-    promise: float
+    promised_gain: float
 
 
 #: Shares of a Newton step among which the likeliest is where a climb begins.
-_SHARES = (1.0, 0.3, 0.1, 0.0)
+_STEP_SHARES = (1.0, 0.3, 0.1, 0.0)
 
 
-def extended(structure: Structure, effect: str) -> Structure:
+def structure_with(structure: Structure, effect: str) -> Structure:
     """The structure with the effect; a soft joint stands for the teeth, too."""
     longer = structure.with_(effect)
     return longer.without("tooth_compliance") if effect == "joint_elasticity" else longer
 
 
-def likeliest(
-    cases: Sequence[Case], structure: Structure, places: Sequence[dict[str, float]], density: float
+def most_likely_values(
+    cases: Sequence[PreparedRecording], structure: Structure, places: Sequence[dict[str, float]], process_noise: float
 ) -> dict[str, float]:
     """The likeliest of some values of the structure."""
     if len(places) == 1:
         return places[0]
-    return min(places, key=lambda v: likelihood.evaluate(cases, structure, v, density).deviance)
+    return min(places, key=lambda v: likelihood.evaluate(cases, structure, v, process_noise).deviance)
 
 
-def entries(
-    cases: Sequence[Case], base: Point, trials: Mapping[str, Sequence[Mapping[str, float]]]
-) -> list[Entry]:  # fmt: skip
+def score_candidates(
+    cases: Sequence[PreparedRecording], base: Fit, trials: Mapping[str, Sequence[Mapping[str, float]]]
+) -> list[Candidate]:  # fmt: skip
     """The candidates, each where it promises most beside the base."""
     held = set(preparation.free_parameters(base.structure)) - set(base.free)
     rows = {e: [{n: v for n, v in row.items() if n not in held} for row in tried] for e, tried in trials.items()}
-    parts = multistart.glimpses(cases, base.structure)
+    parts = multistart.excerpts(cases, base.structure)
 
     def free(structure: Structure) -> tuple[str, ...]:
         return tuple(n for n in preparation.free_parameters(structure) if n not in held)
 
-    def direct(effect: str) -> list[Entry]:
-        structure = extended(base.structure, effect)
-        mine = preparation.with_steps(cases, structure)
+    def direct(effect: str) -> list[Candidate]:
+        structure = structure_with(base.structure, effect)
+        mine = preparation.with_internal_step(cases, structure)
         # What happens at some place may happen there in no part that is seen.
-        seen = mine if "position" in EFFECTS[effect].depends_on else preparation.with_steps(parts, structure)
+        seen = mine if "position" in EFFECTS[effect].depends_on else preparation.with_internal_step(parts, structure)
         promise, values = _direct_start(mine, seen, base, effect, rows[effect], free(structure))
-        return [Entry(effect, structure, free(structure), (values,), promise)]
+        return [Candidate(effect, structure, free(structure), (values,), promise)]
 
-    def nested(group: Sequence[_Row]) -> list[Entry]:
+    def nested(group: Sequence[_Trial]) -> list[Candidate]:
         out = []
-        for row, start in zip(group, _starts(cases, base, group), strict=True):
-            places = tuple(start.at(share) for share in _SHARES)
-            out.append(Entry(row.effect, row.structure, free(row.structure), places, start.promise))
+        for row, start in zip(group, _score_starts(cases, base, group), strict=True):
+            places = tuple(start.at(share) for share in _STEP_SHARES)
+            out.append(Candidate(row.effect, row.structure, free(row.structure), places, start.promised_gain))
         return out
 
     # What takes longest comes first, so that both cores end at about the same time.
-    longest = sorted((e for e in rows if e in DIRECT), key=lambda e: -len(rows[e]))
-    groups = _together(base, [_row(base, e, row) for e, tried in rows.items() if e not in DIRECT for row in tried])
+    longest = sorted((e for e in rows if e in WITHOUT_SCORE_TEST), key=lambda e: -len(rows[e]))
+    groups = _group_trials(
+        base, [_trial(base, e, row) for e, tried in rows.items() if e not in WITHOUT_SCORE_TEST for row in tried]
+    )
     ways = [*(partial(direct, e) for e in longest), *(partial(nested, g) for g in groups)]
-    best: dict[str, Entry] = {}
+    best: dict[str, Candidate] = {}
     for entry in (entry for found in each(call, ways) for entry in found):
-        best[entry.effect] = max(best.get(entry.effect, entry), entry, key=lambda e: e.promise)
+        best[entry.effect] = max(best.get(entry.effect, entry), entry, key=lambda e: e.promised_gain)
     return list(best.values())

@@ -23,25 +23,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.estimation import likelihood
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 
 #: Standard deviations of a meeting's moment, before and after it, in which nothing is judged.
-_WIDE = 2.0
+_CONTACT_DEVIATIONS = 2.0
 #: Where more than this share of a recording would not be judged, all of it is: its motor rattles without end.
-MOST = 0.25
+MAX_MASKED_SHARE = 0.25
 #: A command that turns again after less than this time, s, keeps a motor rattling; less than this share of the largest
 #: does not count as a turn; and so much of a recording is judged at least, or all of it.
-_RESTLESS, _IDLE, _ENOUGH = 0.25, 0.1, 0.3
+_RATTLE_INTERVAL, _IDLE_COMMAND, _MIN_JUDGED_SHARE = 0.25, 0.1, 0.3
 #: So many pushes there are at least where the first is not judged, and so many standard deviations of a reading show
 #: that it has moved the link.
-_PUSHES, _MOVED = 4, 5.0
+_MIN_PUSHES, _MOVED_DEVIATIONS = 4, 5.0
 
 
-def _unforeseen(case: Case, point: Point) -> NDArray[np.bool_]:
+def _unforeseeable_contacts(case: PreparedRecording, point: Fit) -> NDArray[np.bool_]:
     """The stamps (N,) at which the model cannot know whether motor and link have met."""
     time = case.drive.time
     hidden = np.zeros(len(time), dtype=bool)
-    run = likelihood.states(case, point.structure, point.values, point.density)
+    run = likelihood.filtered_states(case, point.structure, point.values, point.process_noise)
     half = 0.5 * point.values["backlash_gap"]
     touching = np.abs(run.states[:, 2]) >= half * (1.0 - 1e-6)
     speed = np.abs(run.states[:, 3] - run.states[:, 1])
@@ -51,21 +51,21 @@ def _unforeseen(case: Case, point: Point) -> NDArray[np.bool_]:
     last = met[np.searchsorted(met, left, "right")]
     share = point.values["motor_share"]
     variance = case.reading_variance * point.scale
-    density = point.density * variance * (0.5 / share**2 + 1.0)
+    process_noise = point.process_noise * variance * (0.5 / share**2 + 1.0)
     alone = time[last + 1] - time[left]
-    spread = np.sqrt(density * alone**3 / 3.0)
+    spread = np.sqrt(process_noise * alone**3 / 3.0)
     unsure = np.minimum(spread / np.maximum(speed[last], 1e-9), alone)
     error = share * (speed[last] if case.drive.speed else spread)
     seen = (error > np.sqrt(variance)) & (unsure > case.step)
-    moment, reach = time[last + 1][seen], _WIDE * unsure[seen]
+    moment, reach = time[last + 1][seen], _CONTACT_DEVIATIONS * unsure[seen]
     begin = np.searchsorted(time, moment - reach)
-    end = np.searchsorted(time, moment + reach + likelihood.memory_of(case, point.density))
+    end = np.searchsorted(time, moment + reach + likelihood.memory_of(case, point.process_noise))
     for i, j in zip(begin.tolist(), end.tolist(), strict=True):
         hidden[i:j] = True
     return hidden
 
 
-def rattling(case: Case) -> NDArray[np.bool_] | None:
+def find_rattling(case: PreparedRecording) -> NDArray[np.bool_] | None:
     """The stamps (N,) between turns of the command that follow each other so soon that motor and link come to no rest
     against each other; None where there are none, or hardly anything else.
 
@@ -75,42 +75,42 @@ def rattling(case: Case) -> NDArray[np.bool_] | None:
     time, command = case.drive.time, case.drive.command
     if case.drive.closed:
         return None
-    pushed = np.flatnonzero(np.abs(command) > _IDLE * np.abs(command).max())
+    pushed = np.flatnonzero(np.abs(command) > _IDLE_COMMAND * np.abs(command).max())
     sign = np.sign(command[pushed])
     turns = pushed[1:][sign[1:] != sign[:-1]]
     hidden = np.zeros(len(time), dtype=bool)
     for i, j in itertools.pairwise(turns.tolist()):
-        hidden[i:j] = time[j] - time[i] < _RESTLESS
-    return hidden if 0.0 < hidden.mean() <= 1.0 - _ENOUGH else None
+        hidden[i:j] = time[j] - time[i] < _RATTLE_INTERVAL
+    return hidden if 0.0 < hidden.mean() <= 1.0 - _MIN_JUDGED_SHARE else None
 
 
-def beginning(case: Case) -> NDArray[np.bool_] | None:
+def find_first_contact(case: PreparedRecording) -> NDArray[np.bool_] | None:
     """The stamps (N,) until the first push has brought motor and link together and to rest against each other; None
     where few pushes follow, of which the first may say the most.
 
     Half a gap more or less on the way there makes a jolt that any effect is welcome to explain.
     """
     time, command, measured = case.drive.time, case.drive.command, case.drive.measured
-    sign = np.sign(command) * (np.abs(command) > _IDLE * np.abs(command).max())
+    sign = np.sign(command) * (np.abs(command) > _IDLE_COMMAND * np.abs(command).max())
     pushes = np.flatnonzero((sign != 0.0) & (np.diff(sign, prepend=0.0) != 0.0))
     still = case.start[1] if case.drive.speed else case.start[0]
-    moved = np.flatnonzero(np.abs(measured - still) > _MOVED * np.sqrt(case.reading_variance))
-    if case.drive.closed or len(pushes) < _PUSHES or len(moved) == 0:
+    moved = np.flatnonzero(np.abs(measured - still) > _MOVED_DEVIATIONS * np.sqrt(case.reading_variance))
+    if case.drive.closed or len(pushes) < _MIN_PUSHES or len(moved) == 0:
         return None
-    return np.asarray(time < time[max(pushes[0], moved[0])] + _RESTLESS)
+    return np.asarray(time < time[max(pushes[0], moved[0])] + _RATTLE_INTERVAL)
 
 
-def judged_throughout(cases: Sequence[Case]) -> list[Case]:
+def without_contact_mask(cases: Sequence[PreparedRecording]) -> list[PreparedRecording]:
     """The cases with every reading judged where the motor does not rattle."""
-    return [replace(c, unforeseen=None) for c in cases]
+    return [replace(c, contact_mask=None) for c in cases]
 
 
-def foreseeable(cases: Sequence[Case], point: Point) -> list[Case]:
+def with_contact_mask(cases: Sequence[PreparedRecording], point: Fit) -> list[PreparedRecording]:
     """The cases, judged only where the model at this point can foresee whether motor and link touch."""
     if not point.structure.toothed:
-        return judged_throughout(cases)
+        return without_contact_mask(cases)
     out = []
     for case in cases:
-        hidden = _unforeseen(case, point)
-        out.append(replace(case, unforeseen=hidden if 0.0 < hidden.mean() <= MOST else None))
+        hidden = _unforeseeable_contacts(case, point)
+        out.append(replace(case, contact_mask=hidden if 0.0 < hidden.mean() <= MAX_MASKED_SHARE else None))
     return out

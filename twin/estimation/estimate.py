@@ -64,7 +64,7 @@ def with_largest_command(found: Model, recordings: Sequence[Recording]) -> Model
     return replace(found, provenance={**found.provenance, "largest_command": f"{largest:.6g}"})
 
 
-def held_of(found: Model) -> dict[str, float]:
+def held_parameters(found: Model) -> dict[str, float]:
     """The parameters that a model holds fixed: those without a standard error in a model that has some, but not what a
     note says was never looked for, nor a stop that stands nowhere, which the next recording may meet.
     """

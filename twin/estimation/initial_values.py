@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.estimation.likelihood import Case
+from twin.estimation.likelihood import PreparedRecording
 from twin.model.stepper import Structure
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +33,9 @@ def local_slope(values: FloatArray, width: int, order: int, rank: int, step: flo
     return np.concatenate([begin[:half], inside, end[half + 1 :]])
 
 
-def motion(case: Case, window: float = 0.1) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def smoothed_motion(
+    case: PreparedRecording, window: float = 0.1
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Reading, command, speed and acceleration (each (N,)) on an even grid, where readings are dense."""
     time, y = case.drive.time, case.drive.measured
     ok = np.isfinite(y)
@@ -54,9 +56,9 @@ def motion(case: Case, window: float = 0.1) -> tuple[FloatArray, FloatArray, Flo
     return values[dense], command[dense], speed[dense], acceleration[dense]
 
 
-def start_values(cases: Sequence[Case], structure: Structure) -> dict[str, float]:
+def start_values(cases: Sequence[PreparedRecording], structure: Structure) -> dict[str, float]:
     """Values to start from: input gain, viscous friction and what is lost on the way, by least squares."""
-    parts = [motion(c) for c in cases]
+    parts = [smoothed_motion(c) for c in cases]
     _, command, speed, acceleration = (np.concatenate(column) for column in zip(*parts, strict=True))
     moving = np.abs(speed) > 0.02 * np.max(np.abs(speed))
     columns = np.column_stack([command, -speed, -np.sign(speed)])[moving]
@@ -83,7 +85,7 @@ def start_values(cases: Sequence[Case], structure: Structure) -> dict[str, float
 
 
 def _with_payload(
-    cases: Sequence[Case], parts: Sequence[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]
+    cases: Sequence[PreparedRecording], parts: Sequence[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]
 ) -> dict[str, float]:
     """Input gain, viscous friction and own inertia where payloads are known.
 

@@ -37,43 +37,43 @@ from twin.simulation.kernel import INDEX, Drive, Noise
 FloatArray = NDArray[np.float64]
 
 #: Normalised innovations beyond this count linearly, not squared (Huber).
-ROBUST_LIMIT = 4.0
+HUBER_LIMIT = 4.0
 #: The filter weighs at least so many new readings: one that forgets faster follows the rounding of the last.
-LEAST_READINGS = 2.0
+MIN_READINGS_IN_MEMORY = 2.0
 #: Stamps whose slopes are held at once: an hour at 2 ms has eighteen times as many.
-AT_ONCE = 100_000
+MAX_STAMPS_AT_ONCE = 100_000
 #: Information along a direction, over that of its parameters each by itself, below which nothing determines it: slopes
 #: are rounded to seven digits, which leaves 1e-13 where there is none.
-UNDETERMINED = 1e-10
+EIGENVALUE_FLOOR = 1e-10
 #: A unit of deviance worth so little says that the model errs.
-ERRS = 5.0
+OVERDISPERSION_OF_WRONG_MODEL = 5.0
 #: A gradient that scatters by less than this share of what the information says is one of slopes that have run away.
-CHAOS = 0.3
+OVERDISPERSION_OF_CHAOS = 0.3
 #: Slopes that are so many times as large as the drive can make them within the filter's memory have run away; where
 #: the motor does not rattle they are no larger than once that, and six times where motor and link meet. No memory is
 #: taken to be shorter than this, s: for so long a meeting shows.
-AWAY, _MEETING = 10.0, 0.05
+MAX_SLOPE_RATIO, _CONTACT_DURATION = 10.0, 0.05
 #: Deviance from which on a change is one that is seen: what is not seen has no slope but the rounding's.
-TRACE = 1e-6
+MIN_VISIBLE_DEVIANCE = 1e-6
 #: Stretches beyond one for each parameter from more than which their scatter can be told.
-LEFT = 4
+SPARE_BLOCKS = 4
 #: Far from the maximum that worth says nothing: a climb ends at so many times its tolerance at most.
-MOST_UNITS = 10.0
-_BEHIND = 1e-7  # s
+MAX_OVERDISPERSION = 10.0
+_DELAY_OFFSET = 1e-7  # s
 #: So many steps in a row that bring nothing, each much shorter than the one before, end a climb.
-PATIENCE = 4
+MAX_REFUSED_STEPS = 4
 #: Longer than innovations of a slightly wrong model stay correlated, s.
-STRETCH = 0.5
+BLOCK_LENGTH = 0.5
 #: An axis rests that stays in one count for longer than this, s.
-_STILL = 0.5
+_REST_DURATION = 0.5
 #: After a silence of so many s, and so many times the usual one, the filter begins anew: how far a model went astray in
 #: it is no reading's error.
-_SILENCE, _SILENCES = 0.5, 10.0
+_MIN_SILENCE, _SILENCE_INTERVALS = 0.5, 10.0
 _BOUNDS = {p.name: (p.lower, p.upper) for p in EVERYTHING.parameters}
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class PreparedRecording:
     """A recording made ready for the kernel."""
 
     recording: Recording
@@ -81,10 +81,10 @@ class Case:
     reading_variance: float  # of one reading, output unit squared
     contact: float  # where in the gap the motor starts: -1, 0 or 1
     start: tuple[float, float]  # what is read of the position, and the velocity
-    free: NDArray[np.bool_] | None = None  # (N,) where the model runs freely and only that is judged; None: nowhere
-    unforeseen: NDArray[np.bool_] | None = None  # (N,) readings that are followed but not judged; None: none
-    rattling: NDArray[np.bool_] | None = None  # (N,) the same, where motor and link come to no rest; None: nowhere
-    beginning: NDArray[np.bool_] | None = None  # (N,) the same, until motor and link have met; None: nowhere
+    free_run: NDArray[np.bool_] | None = None  # (N,) where the model runs freely and only that is judged; None: nowhere
+    contact_mask: NDArray[np.bool_] | None = None  # (N,) readings that are followed but not judged; None: none
+    rattle_mask: NDArray[np.bool_] | None = None  # (N,) the same, where motor and link come to no rest; None: nowhere
+    start_mask: NDArray[np.bool_] | None = None  # (N,) the same, until motor and link have met; None: nowhere
 
     @cached_property
     def resting(self) -> NDArray[np.bool_]:
@@ -96,45 +96,53 @@ class Case:
         changed = ~(np.abs(np.diff(measured, prepend=np.nan)) < 0.5 * self.recording.resolution)
         first = np.flatnonzero(changed)
         lasts = np.diff(time[first], append=time[-1])
-        return np.asarray((lasts > _STILL)[np.cumsum(changed) - 1])
+        return np.asarray((lasts > _REST_DURATION)[np.cumsum(changed) - 1])
 
     @cached_property
-    def rounding(self) -> FloatArray:
+    def rounding_allowance(self) -> FloatArray:
         """What rounding may take from each reading (N,) and is no error: a resting axis reads the same anywhere within
         its count, and that is one error, not one at each stamp."""
         return np.where(self.resting, 0.5 * self.recording.resolution, 0.0)
 
     @cached_property
-    def passed_over(self) -> NDArray[np.bool_]:
+    def masked(self) -> NDArray[np.bool_]:
         """The stamps (N,) that are followed but not judged, for whatever reason."""
-        led = None if self.free is None else ~self.free
-        masks = [m for m in (self.unforeseen, self.rattling, self.beginning, led) if m is not None]
+        led = None if self.free_run is None else ~self.free_run
+        masks = [m for m in (self.contact_mask, self.rattle_mask, self.start_mask, led) if m is not None]
         return np.asarray(np.any([np.zeros(len(self.drive.time), dtype=bool), *masks], axis=0))
 
     @cached_property
-    def mark(self) -> bytes:
+    def digest(self) -> bytes:
         """Digest of all that a prediction takes from the case."""
-        drive, free = self.drive, self.free
-        arrays = (drive.time, drive.command, drive.measured, drive.known, drive.law, self.passed_over, self.rounding)
+        drive, free = self.drive, self.free_run
+        arrays = (
+            drive.time,
+            drive.command,
+            drive.measured,
+            drive.known,
+            drive.law,
+            self.masked,
+            self.rounding_allowance,
+        )
         digest = hashlib.blake2b(digest_size=16)
         for a in arrays if free is None else (*arrays, free):
             digest.update(a.tobytes())
-        rest = (drive.speed, drive.longest, self.reading_variance, self.contact, self.start, self.spread)
+        rest = (drive.speed, drive.longest, self.reading_variance, self.contact, self.start, self.reading_span)
         digest.update(repr((free is None, rest)).encode())
         return digest.digest()
 
     @cached_property
-    def reach(self) -> tuple[float, float]:
+    def reading_range(self) -> tuple[float, float]:
         """The least and the largest reading, output unit."""
         return float(np.nanmin(self.recording.output)), float(np.nanmax(self.recording.output))
 
     @cached_property
-    def commands(self) -> tuple[float, float]:
+    def command_range(self) -> tuple[float, float]:
         """The least and the largest command, input unit."""
         return float(self.drive.command.min()), float(self.drive.command.max())
 
     @cached_property
-    def places(self) -> FloatArray:
+    def positions(self) -> FloatArray:
         """Where the link was read to be (M,), axis unit; where a speed is read, since it began."""
         y, time = self.recording.output, self.recording.time
         seen = np.isfinite(y)
@@ -143,9 +151,9 @@ class Case:
         return np.asarray(cumulative_trapezoid(np.interp(time, time[seen], y[seen]), time, initial=0.0))
 
     @property
-    def spread(self) -> float:
+    def reading_span(self) -> float:
         """Range of the readings, output unit."""
-        return self.reach[1] - self.reach[0]
+        return self.reading_range[1] - self.reading_range[0]
 
     @cached_property
     def step(self) -> float:
@@ -153,19 +161,23 @@ class Case:
         return float(np.median(np.diff(self.drive.time)))
 
     @cached_property
-    def _waits(self) -> FloatArray:
+    def _intervals(self) -> FloatArray:
         """The times between one reading and the next, s."""
         return np.asarray(np.diff(self.drive.time[np.isfinite(self.drive.measured)]))
 
     @cached_property
-    def silence(self) -> float:
+    def longest_silence(self) -> float:
         """For how long nothing may be read, s."""
-        return max(_SILENCE, _SILENCES * float(np.median(self._waits))) if len(self._waits) else _SILENCE
+        return (
+            max(_MIN_SILENCE, _SILENCE_INTERVALS * float(np.median(self._intervals)))
+            if len(self._intervals)
+            else _MIN_SILENCE
+        )
 
     @cached_property
-    def longest_wait(self) -> float:
+    def longest_interval(self) -> float:
         """The longest time between two readings, s; no longer than after which the filter begins anew."""
-        return min(float(np.max(self._waits, initial=0.0)), self.silence)
+        return min(float(np.max(self._intervals, initial=0.0)), self.longest_silence)
 
 
 def _reading_variance(recording: Recording) -> float:
@@ -179,7 +191,9 @@ def _reading_variance(recording: Recording) -> float:
     return max(scatter, (1e-9 * float(np.ptp(y))) ** 2, 1e-30)
 
 
-def prepare(recording: Recording, structure: Structure, closed: bool = False, contact: float = 0.0) -> Case:
+def prepare_recording(
+    recording: Recording, structure: Structure, closed: bool = False, contact: float = 0.0
+) -> PreparedRecording:
     """Make a recording ready; `closed` simulates the rig's own loop from its reference, or raises BadInput."""
     time, command, measured, law = recording.time, command_of(recording), recording.output, np.zeros(5)
     if closed:
@@ -198,11 +212,11 @@ def prepare(recording: Recording, structure: Structure, closed: bool = False, co
     )
     first = float(recording.output[np.isfinite(recording.output)][0])
     start = (0.0, first) if recording.is_speed else (first, 0.0)
-    return Case(recording, drive, _reading_variance(recording), contact, start)
+    return PreparedRecording(recording, drive, _reading_variance(recording), contact, start)
 
 
 @contextmanager
-def _unheeded() -> Iterator[None]:
+def _ignore_overflow() -> Iterator[None]:
     """For values so wild that the model overflows, and parameters that leave no trace and so have no end of variance.
 
     Both are looked for in what comes out, and no news. Every thread has to be told anew.
@@ -212,28 +226,28 @@ def _unheeded() -> Iterator[None]:
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class Fit:
     """A model at certain values: what there is to know for the next step."""
 
     structure: Structure
     values: dict[str, float]
-    density: float  # torque noise over reading variance, 1/s^3 (positions) or 1/s (speeds)
+    process_noise: float  # torque noise over reading variance, 1/s^3 (positions) or 1/s (speeds)
     free: tuple[str, ...]
     deviance: float  # minus twice the log-likelihood, up to a constant of the data
     scale: float  # innovation variance found over that expected
-    normal: FloatArray  # (n, n) information about the free parameters
+    information: FloatArray  # (n, n) information about the free parameters
     gradient: FloatArray  # (n,) of the log-likelihood
     scatter: FloatArray  # (n, n) of the gradient, from stretch to stretch; the information where the model is right
     converged: bool = True
-    says: str = ""
+    message: str = ""
 
     @property
-    @_unheeded()
+    @_ignore_overflow()
     def covariance(self) -> FloatArray:
         """Of the free parameters; what cannot be seen gets a huge variance, not a small one, and what leaves no trace
         an infinite one, and none with others."""
-        eigenvalues, vectors, size = self._directions
-        inverse = (vectors / np.maximum(eigenvalues, UNDETERMINED)) @ vectors.T
+        eigenvalues, vectors, size = self._eigen
+        inverse = (vectors / np.maximum(eigenvalues, EIGENVALUE_FLOOR)) @ vectors.T
         found = np.asarray(inverse / np.outer(size, size))
         lost = ~np.isfinite(np.diag(found))
         found[lost, :] = found[:, lost] = 0.0
@@ -241,15 +255,15 @@ class Point:
         return found
 
     @cached_property
-    @_unheeded()
-    def _directions(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    @_ignore_overflow()
+    def _eigen(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Eigenvalues (n,) and vectors (n, n) of the information, each parameter in units of its own (n,)."""
-        size = np.sqrt(np.maximum(np.diag(self.normal), 1e-300))
-        eigenvalues, vectors = np.linalg.eigh(self.normal / np.outer(size, size))
+        size = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        eigenvalues, vectors = np.linalg.eigh(self.information / np.outer(size, size))
         return eigenvalues, vectors, size
 
     @property
-    @_unheeded()
+    @_ignore_overflow()
     def robust_covariance(self) -> FloatArray:
         """Covariance (n, n) of the free parameters that holds where the model errs a little, too.
 
@@ -257,35 +271,35 @@ class Point:
         says how far the maximum may have moved (White's sandwich, Econometrica 50, 1982). Innovations that a
         slightly wrong model leaves correlated make the second larger; each standard error is the larger of the two.
         """
-        wider = np.sqrt(np.fmax(self._excess, 1.0))
+        wider = np.sqrt(np.fmax(self._variance_inflation, 1.0))
         return np.asarray(self.covariance * np.outer(wider, wider))
 
     @cached_property
-    @_unheeded()
-    def _excess(self) -> FloatArray:
+    @_ignore_overflow()
+    def _variance_inflation(self) -> FloatArray:
         """Variances (n,) that the scatter of the slopes bears out, over those that the information promises.
 
         In directions that nothing determines, as gain and dead-band where the command knows one size, both are nothing
         over nothing: what they leave a parameter is what counts, NaN where that is nothing.
         """
-        eigenvalues, vectors, size = self._directions
-        known = eigenvalues > UNDETERMINED
+        eigenvalues, vectors, size = self._eigen
+        known = eigenvalues > EIGENVALUE_FLOOR
         plain = (vectors[:, known] / eigenvalues[known]) @ vectors[:, known].T / np.outer(size, size)
         return np.asarray(np.diag(plain @ self.scatter @ plain) / np.diag(plain))
 
     @cached_property
-    def traced(self) -> NDArray[np.bool_]:
+    def visible(self) -> NDArray[np.bool_]:
         """Which free parameters (n,) leave a trace: to move one by its own size, or by one, would not go unseen."""
         sizes = np.array([max(abs(self.values.get(n, 0.0)), 1.0) for n in self.free])
-        return np.asarray(np.diag(self.normal) * sizes**2 > TRACE)
+        return np.asarray(np.diag(self.information) * sizes**2 > MIN_VISIBLE_DEVIANCE)
 
     @property
-    def unit(self) -> float:
+    def overdispersion(self) -> float:
         """What one unit of deviance is worth here: the more the model errs, the less a change of one means."""
-        return self.unit_by(self.free)
+        return self.overdispersion_by(self.free)
 
-    @_unheeded()
-    def unit_by(self, names: Iterable[str]) -> float:
+    @_ignore_overflow()
+    def overdispersion_by(self, names: Iterable[str]) -> float:
         """The same by some parameters alone, or by all where none of these is free.
 
         Parameters that leave no trace have no say in it.
@@ -293,23 +307,23 @@ class Point:
         if not self.free:
             return 1.0
         among = set(names) & set(self.free) or set(self.free)
-        own = self._excess[[n in among for n in self.free]]
+        own = self._variance_inflation[[n in among for n in self.free]]
         traced = own[np.isfinite(own)]
         return float(np.median(np.maximum(traced, 1.0))) if len(traced) else math.nan
 
     @property
-    @_unheeded()
-    def chaotic(self) -> bool:
+    @_ignore_overflow()
+    def is_chaotic(self) -> bool:
         """Whether the slopes have grown from bounce to bounce until they say nothing about the maximum.
 
         They then promise an information that the gradient's scatter gives the lie to.
         """
-        traced = self._excess[np.isfinite(self._excess)]
-        return bool(len(traced)) and float(np.median(traced)) < CHAOS
+        traced = self._variance_inflation[np.isfinite(self._variance_inflation)]
+        return bool(len(traced)) and float(np.median(traced)) < OVERDISPERSION_OF_CHAOS
 
 
-def _start(
-    case: Case, structure: Structure, values: Mapping[str, float], free: Sequence[str]
+def _initial_state(
+    case: PreparedRecording, structure: Structure, values: Mapping[str, float], free: Sequence[str]
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """The states at the start and their derivatives (states, n): it begins where its sensor reads what was read."""
     gap, (reading, velocity) = 0.5 * case.contact, case.start
@@ -323,39 +337,41 @@ def _start(
     return x, slope
 
 
-def density_of(case: Case, memory: float) -> float:
+def process_noise_of(case: PreparedRecording, memory: float) -> float:
     """The noise density, in units of the reading's variance, at which the filter forgets after `memory` seconds."""
     step = case.step
     return step / memory**2 if case.drive.speed else step / memory**4
 
 
-def memory_of(case: Case, density: float) -> float:
-    """After how many seconds the filter forgets at a noise density; the inverse of `density_of`."""
-    return float((case.step / density) ** (0.5 if case.drive.speed else 0.25))
+def memory_of(case: PreparedRecording, process_noise: float) -> float:
+    """After how many seconds the filter forgets at a noise density; the inverse of `process_noise_of`."""
+    return float((case.step / process_noise) ** (0.5 if case.drive.speed else 0.25))
 
 
-def ahead(case: Case, density: float, horizon: float) -> Case:
+def with_free_runs(case: PreparedRecording, process_noise: float, horizon: float) -> PreparedRecording:
     """The case for predictions up to `horizon` seconds ahead: free runs of that length, or to the recording's end, each
     after a few memories of the filter in which it finds the state.
     """
-    settled = min(5.0 * memory_of(case, density), 0.1 * float(case.drive.time[-1]))
-    lead = max(settled, LEAST_READINGS * case.step)
-    return replace(case, free=np.asarray(case.drive.time % (lead + horizon) >= lead), rattling=None)
+    settled = min(5.0 * memory_of(case, process_noise), 0.1 * float(case.drive.time[-1]))
+    lead = max(settled, MIN_READINGS_IN_MEMORY * case.step)
+    return replace(case, free_run=np.asarray(case.drive.time % (lead + horizon) >= lead), rattle_mask=None)
 
 
-def noise_for(case: Case, density: float) -> Noise:
+def filter_noise(case: PreparedRecording, process_noise: float) -> Noise:
     """The filter's beliefs about a case; a density of zero is a free run, from the first reading as it is."""
-    if density == 0.0:
+    if process_noise == 0.0:
         return kernel.FREE
-    spread, duration = case.spread, max(float(case.drive.time[-1]), 1e-9)
+    spread, duration = case.reading_span, max(float(case.drive.time[-1]), 1e-9)
     velocity = (spread if case.drive.speed else max(spread / duration, 1e-3 * spread)) ** 2
-    return Noise(density, 1.0, 1.0 if case.drive.speed else velocity / case.reading_variance, case.silence)
+    return Noise(
+        process_noise, 1.0, 1.0 if case.drive.speed else velocity / case.reading_variance, case.longest_silence
+    )
 
 
-def robust_loss(normalised: FloatArray) -> FloatArray:
+def huber_loss(normalised: FloatArray) -> FloatArray:
     """Huber's loss of normalised innovations: what they take from twice the log-likelihood."""
     z = np.abs(normalised)
-    return np.asarray(np.where(z > ROBUST_LIMIT, ROBUST_LIMIT * (2.0 * z - ROBUST_LIMIT), z**2))
+    return np.asarray(np.where(z > HUBER_LIMIT, HUBER_LIMIT * (2.0 * z - HUBER_LIMIT), z**2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,7 +383,9 @@ class Innovations:
     slopes: FloatArray  # (N, n) of the prediction
 
 
-def _run_away(case: Case, density: float, free: tuple[str, ...], slopes: FloatArray) -> NDArray[np.bool_]:
+def _diverged_slopes(
+    case: PreparedRecording, process_noise: float, free: tuple[str, ...], slopes: FloatArray
+) -> NDArray[np.bool_]:
     """The stamps (N,) whose slopes have grown from bounce to bounce until they say nothing.
 
     What another gain does to an axis is forgotten with the filter's memory, and so is about what the drive does within
@@ -375,107 +393,128 @@ def _run_away(case: Case, density: float, free: tuple[str, ...], slopes: FloatAr
     that, by a factor with each bounce, and a handful of such stamps would outweigh all others.
     """
     # A free run forgets nothing, and one under its own loop is driven by what it reads.
-    if density == 0.0 or case.free is not None or case.drive.closed or "input_gain" not in free:
+    if process_noise == 0.0 or case.free_run is not None or case.drive.closed or "input_gain" not in free:
         return np.zeros(len(slopes), dtype=bool)
-    memory = max(memory_of(case, density), _MEETING) + case.longest_wait
-    push = max(map(abs, case.commands)) * memory ** (1 if case.drive.speed else 2)
-    return ~(np.abs(slopes[:, free.index("input_gain")]) <= AWAY * push)
+    memory = max(memory_of(case, process_noise), _CONTACT_DURATION) + case.longest_interval
+    push = max(map(abs, case.command_range)) * memory ** (1 if case.drive.speed else 2)
+    return ~(np.abs(slopes[:, free.index("input_gain")]) <= MAX_SLOPE_RATIO * push)
 
 
-def pieces(
-    case: Case, structure: Structure, values: Mapping[str, float], density: float, free: tuple[str, ...], most: int
+def innovations_in_pieces(
+    case: PreparedRecording,
+    structure: Structure,
+    values: Mapping[str, float],
+    process_noise: float,
+    free: tuple[str, ...],
+    most: int,
 ) -> Iterator[Innovations]:
     """Run one case through the predictor, at most so many stamps at a time; slopes only where parameters are free."""
     p = kernel.vector(structure, dict(values))
     # Where an edge of the command falls on a stamp the delay has a kink: it is looked at from just behind.
-    p[INDEX["delay"]] += _BEHIND
-    noise = noise_for(case, density)
-    x, slope = _start(case, structure, values, free)
+    p[INDEX["delay"]] += _DELAY_OFFSET
+    noise = filter_noise(case, process_noise)
+    x, slope = _initial_state(case, structure, values, free)
     drive = case.drive
-    if case.free is not None:
-        drive = replace(drive, measured=np.where(case.free, np.nan, drive.measured))
+    if case.free_run is not None:
+        drive = replace(drive, measured=np.where(case.free_run, np.nan, drive.measured))
     if free:
         runs = kernel.in_pieces(drive, p, x, slope, free, noise, most)
     else:
         runs = iter([(slice(None), kernel.predict(drive, p, x, noise))])
     judge = kernel.compiled().judging
     for at, run in runs:
-        rounding, error, variance = case.rounding[at], run.reading, run.spread
-        judge(case.drive.measured[at], case.passed_over[at], rounding, case.reading_variance, error, variance)
-        if case.free is not None:
+        rounding, error, variance = case.rounding_allowance[at], run.reading, run.spread
+        judge(case.drive.measured[at], case.masked[at], rounding, case.reading_variance, error, variance)
+        if case.free_run is not None:
             # What drifts away in a free run is no reading's noise: the errors of all recordings are weighed alike.
             variance[:] = 1.0
         if free:
             run.slopes[(error == 0.0) & (rounding > 0.0)] = 0.0
-            run.slopes[_run_away(case, density, free, run.slopes)] = 0.0
+            run.slopes[_diverged_slopes(case, process_noise, free, run.slopes)] = 0.0
         yield Innovations(error, variance, run.slopes)
 
 
-def states(case: Case, structure: Structure, values: Mapping[str, float], density: float) -> kernel.Prediction:
+def filtered_states(
+    case: PreparedRecording, structure: Structure, values: Mapping[str, float], process_noise: float
+) -> kernel.Prediction:
     """The case run through the predictor, with the state (N, states) at each stamp."""
     p = kernel.vector(structure, dict(values))
-    x, _ = _start(case, structure, values, ())
-    return kernel.predict(case.drive, p, x, noise_for(case, density), keep_states=True)
+    x, _ = _initial_state(case, structure, values, ())
+    return kernel.predict(case.drive, p, x, filter_noise(case, process_noise), keep_states=True)
 
 
 def innovations(
-    case: Case, structure: Structure, values: Mapping[str, float], density: float, free: tuple[str, ...] = ()
+    case: PreparedRecording,
+    structure: Structure,
+    values: Mapping[str, float],
+    process_noise: float,
+    free: tuple[str, ...] = (),
 ) -> Innovations:
     """Run one case through the predictor; slopes only where parameters are free."""
-    return next(pieces(case, structure, values, density, free, len(case.drive.time)))
+    return next(innovations_in_pieces(case, structure, values, process_noise, free, len(case.drive.time)))
 
 
-def _moves(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+def _drive_moves_axis(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """Whether some command is beyond the dead-band: a model that nothing moves follows slow readings best of all."""
     forward, reverse = values.get("dead_band_forward", 0.0), values.get("dead_band_reverse", 0.0)
-    return any(c.drive.closed or c.commands[1] >= forward or -c.commands[0] >= reverse for c in cases)
+    return any(c.drive.closed or c.command_range[1] >= forward or -c.command_range[0] >= reverse for c in cases)
 
 
-def _between(cases: Sequence[Case], values: Mapping[str, float]) -> bool:
+def _within_stops(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """Whether no recording lies further behind a stop than it travels: the deeper, the shorter the steps that a stiff
     contact needs, and a climb that is thrown so far would wait a quarter of a minute to be told that it is nowhere.
     """
     lower, upper = values.get("stop_lower", -math.inf), values.get("stop_upper", math.inf)
-    return all(c.drive.speed or (lower - c.spread < c.reach[1] and upper + c.spread > c.reach[0]) for c in cases)
+    return all(
+        c.drive.speed or (lower - c.reading_span < c.reading_range[1] and upper + c.reading_span > c.reading_range[0])
+        for c in cases
+    )
 
 
 #: Points that were looked at last, by all that they come from: a search gets to the same place by several ways.
-_RECENT: OrderedDict[Hashable, Point] = OrderedDict()
-_REMEMBERED = 4000
+_CACHE: OrderedDict[Hashable, Fit] = OrderedDict()
+_CACHE_SIZE = 4000
 
 
-@_unheeded()
+@_ignore_overflow()
 def evaluate(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], density: float,
-    free: tuple[str, ...] = (), stretch: float = STRETCH,
-) -> Point:  # fmt: skip
+    cases: Sequence[PreparedRecording], structure: Structure, values: Mapping[str, float], process_noise: float,
+    free: tuple[str, ...] = (), stretch: float = BLOCK_LENGTH,
+) -> Fit:  # fmt: skip
     """Deviance, gradient and information at these values; errors further apart than `stretch` (s), or less where
     little is judged, are independent.
     """
-    key = (tuple(c.mark for c in cases), structure, tuple(sorted(values.items())), density, free, stretch)
-    found = _RECENT.pop(key, None)
-    if found is None and _moves(cases, values) and _between(cases, values):
+    key = (tuple(c.digest for c in cases), structure, tuple(sorted(values.items())), process_noise, free, stretch)
+    found = _CACHE.pop(key, None)
+    if found is None and _drive_moves_axis(cases, values) and _within_stops(cases, values):
         # Slopes take the memory: of long recordings the errors come first, then the slopes piece by piece.
-        seen = () if sum(len(c.drive.time) for c in cases) > AT_ONCE else free
-        results = [innovations(c, structure, values, density, seen) for c in cases]
-        found = weighed(cases, structure, values, density, free, results, stretch)
-    _RECENT[key] = found = found or _lost(structure, values, density, free)
-    if len(_RECENT) > _REMEMBERED:
-        _RECENT.popitem(last=False)
+        seen = () if sum(len(c.drive.time) for c in cases) > MAX_STAMPS_AT_ONCE else free
+        results = [innovations(c, structure, values, process_noise, seen) for c in cases]
+        found = fit_from_innovations(cases, structure, values, process_noise, free, results, stretch)
+    _CACHE[key] = found = found or _not_runnable(structure, values, process_noise, free)
+    if len(_CACHE) > _CACHE_SIZE:
+        _CACHE.popitem(last=False)
     return found
 
 
-def _lost(structure: Structure, values: Mapping[str, float], density: float, free: tuple[str, ...]) -> Point:
+def _not_runnable(
+    structure: Structure, values: Mapping[str, float], process_noise: float, free: tuple[str, ...]
+) -> Fit:
     """Where the model cannot run."""
     n = len(free)
-    return Point(structure, dict(values), density, free, math.inf, math.inf, np.eye(n), np.zeros(n), np.eye(n))
+    return Fit(structure, dict(values), process_noise, free, math.inf, math.inf, np.eye(n), np.zeros(n), np.eye(n))
 
 
-@_unheeded()
-def weighed(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], density: float, free: tuple[str, ...],
-    results: Sequence[Innovations], stretch: float = STRETCH,
-) -> Point:  # fmt: skip
+@_ignore_overflow()
+def fit_from_innovations(
+    cases: Sequence[PreparedRecording],
+    structure: Structure,
+    values: Mapping[str, float],
+    process_noise: float,
+    free: tuple[str, ...],
+    results: Sequence[Innovations],
+    stretch: float = BLOCK_LENGTH,
+) -> Fit:
     """What `evaluate` makes of innovations, which are run once more where their slopes were not kept."""
     n, compiled = len(free), kernel.compiled()
     squares, logs, count, judged = np.empty(sum(len(r.error) for r in results)), 0.0, 0, 0.0
@@ -485,28 +524,34 @@ def weighed(
         logs += own
         count += read
     if count == 0:
-        return _lost(structure, values, density, free)
-    scale, loss = compiled.scaling(squares[:count], ROBUST_LIMIT)
+        return _not_runnable(structure, values, process_noise, free)
+    scale, loss = compiled.scaling(squares[:count], HUBER_LIMIT)
     if not math.isfinite(scale):
-        return _lost(structure, values, density, free)
+        return _not_runnable(structure, values, process_noise, free)
     deviance = loss + logs + count * math.log(scale)
     # A short recording has short stretches: were its scatter not looked at it would speak for whatever is largest.
-    stretch = min(stretch, judged / (n + LEFT + 1))
+    stretch = min(stretch, judged / (n + SPARE_BLOCKS + 1))
     kept = results if all(r.slopes.shape[1] == n for r in results) else None
-    pulls, weights = _by_stretch(cases, structure, values, density, free, scale, kept, stretch)
+    pulls, weights = _scores_by_block(cases, structure, values, process_noise, free, scale, kept, stretch)
     normal, gradient, scatter = weights.sum(axis=0), pulls.sum(axis=0), pulls.T @ pulls
     if not np.all(np.isfinite(normal)) or not np.all(np.isfinite(gradient)):
-        return _lost(structure, values, density, free)
+        return _not_runnable(structure, values, process_noise, free)
     # The maximum has used up a stretch for each parameter (MacKinnon and White, J. Econometrics 29, 1985).
     stretches = len(pulls)
-    scatter = scatter * (stretches / (stretches - n)) if stretches > n + LEFT else normal
-    return Point(structure, dict(values), density, free, deviance, scale, normal, gradient, scatter)
+    scatter = scatter * (stretches / (stretches - n)) if stretches > n + SPARE_BLOCKS else normal
+    return Fit(structure, dict(values), process_noise, free, deviance, scale, normal, gradient, scatter)
 
 
-def _by_stretch(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], density: float, free: tuple[str, ...],
-    scale: float, results: Sequence[Innovations] | None, stretch: float,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+def _scores_by_block(
+    cases: Sequence[PreparedRecording],
+    structure: Structure,
+    values: Mapping[str, float],
+    process_noise: float,
+    free: tuple[str, ...],
+    scale: float,
+    results: Sequence[Innovations] | None,
+    stretch: float,
+) -> tuple[FloatArray, FloatArray]:
     """Slope (M, n) of the log-likelihood and information (M, n, n) of each stretch in which something was read.
 
     Without results the recordings are run again, piece by piece.
@@ -522,45 +567,55 @@ def _by_stretch(
     gather = kernel.compiled().gathering
     for i, (case, block) in enumerate(zip(cases, blocks, strict=True)):
         begin = 0
-        runs = pieces(case, structure, values, density, free, AT_ONCE) if results is None else iter([results[i]])
+        runs = (
+            innovations_in_pieces(case, structure, values, process_noise, free, MAX_STAMPS_AT_ONCE)
+            if results is None
+            else iter([results[i]])
+        )
         for r in runs:
             at = block[begin : begin + len(r.error)]
-            gather(r.error, r.variance * scale, ROBUST_LIMIT, at, r.slopes, pulls, weights, read)
+            gather(r.error, r.variance * scale, HUBER_LIMIT, at, r.slopes, pulls, weights, read)
             begin += len(r.error)
     lower = np.tril(weights[read > 0])
     return pulls[read > 0], lower + np.tril(lower, -1).transpose(0, 2, 1)
 
 
-@_unheeded()
-def robust_covariance(cases: Sequence[Case], point: Point, stretch: float = STRETCH) -> FloatArray:
+@_ignore_overflow()
+def jackknife_covariance(cases: Sequence[PreparedRecording], point: Fit, stretch: float = BLOCK_LENGTH) -> FloatArray:
     """The point's, by leaving out each stretch (s) in turn.
 
     A parameter that a few stretches decide bends to what these happen to say, and the errors there look small: the
     estimate without a stretch tells how much hangs on it (jackknife; MacKinnon and White, J. Econometrics 29, 1985).
     """
-    pulls, weights = _by_stretch(
-        cases, point.structure, point.values, point.density, point.free, point.scale, None, stretch
+    pulls, weights = _scores_by_block(
+        cases, point.structure, point.values, point.process_noise, point.free, point.scale, None, stretch
     )
     plain = point.covariance
     if len(pulls) <= 2 * len(point.free):
         return plain
     whole = weights.sum(axis=0)
     size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
-    moved = [solved((whole - w) / np.outer(size, size), g / size) / size for g, w in zip(pulls, weights, strict=True)]
+    moved = [
+        least_squares_solution((whole - w) / np.outer(size, size), g / size) / size
+        for g, w in zip(pulls, weights, strict=True)
+    ]
     wider = np.sqrt(np.maximum(np.sum(np.square(moved), axis=0) / np.maximum(np.diag(plain), 1e-300), 1.0))
     return np.asarray(plain * np.outer(wider, wider))
 
 
 def deviances(
-    cases: Sequence[Case], structure: Structure, trials: Sequence[Mapping[str, float]], density: float
+    cases: Sequence[PreparedRecording],
+    structure: Structure,
+    trials: Sequence[Mapping[str, float]],
+    process_noise: float,
 ) -> list[float]:
     """The deviance at each of many values."""
-    return each(lambda v: evaluate(cases, structure, v, density).deviance, trials)
+    return each(lambda v: evaluate(cases, structure, v, process_noise).deviance, trials)
 
 
-def solved(a: FloatArray, b: FloatArray) -> FloatArray:
+def least_squares_solution(a: FloatArray, b: FloatArray) -> FloatArray:
     """The smallest solution of a x = b, which is there also where a parameter leaves no trace and a is singular."""
-    return np.asarray(np.linalg.lstsq(a, b, rcond=UNDETERMINED)[0])
+    return np.asarray(np.linalg.lstsq(a, b, rcond=EIGENVALUE_FLOOR)[0])
 
 
 def bounds_of(name: str) -> tuple[float, float]:
@@ -573,12 +628,12 @@ def within_bounds(values: Mapping[str, float]) -> bool:
     return all(_BOUNDS[n][0] <= v <= _BOUNDS[n][1] for n, v in values.items())
 
 
-def _within(values: Mapping[str, float]) -> dict[str, float]:
+def _clipped_to_bounds(values: Mapping[str, float]) -> dict[str, float]:
     """The values, each moved to its nearest bound where it lies beyond."""
     return {n: min(max(v, _BOUNDS[n][0]), _BOUNDS[n][1]) for n, v in values.items()}
 
 
-def _resisting(values: dict[str, float], free: Sequence[str]) -> dict[str, float]:
+def _with_resisting_friction(values: dict[str, float], free: Sequence[str]) -> dict[str, float]:
     """The values where dry friction resists both ways. Friction that would push is none, so that beyond there values
     differ which say the same, and none of them is known.
     """
@@ -590,18 +645,18 @@ def _resisting(values: dict[str, float], free: Sequence[str]) -> dict[str, float
     return {**values, "coulomb_friction": size, "friction_asymmetry": math.copysign(size, lean)}
 
 
-def _moved(point: Point, damping: float) -> dict[str, float]:
+def _damped_step(point: Fit, damping: float) -> dict[str, float]:
     """The values after one damped Gauss-Newton step, the best one within the bounds."""
     here = np.array([point.values[n] for n in point.free])
     low, high = np.array([_BOUNDS[n] for n in point.free]).T
     least, most = low - here, high - here
-    size = np.sqrt(np.maximum(np.diag(point.normal), 1e-300))
-    scaled = point.normal / np.outer(size, size)
-    scaled[np.diag_indices_from(scaled)] += damping + UNDETERMINED
-    step, inside = np.zeros(len(here)), point.traced.copy()
+    size = np.sqrt(np.maximum(np.diag(point.information), 1e-300))
+    scaled = point.information / np.outer(size, size)
+    scaled[np.diag_indices_from(scaled)] += damping + EIGENVALUE_FLOOR
+    step, inside = np.zeros(len(here)), point.visible.copy()
     while inside.any():
         pull = point.gradient / size - scaled @ np.where(inside, 0.0, step * size)
-        step[inside] = solved(scaled[np.ix_(inside, inside)], pull[inside]) / size[inside]
+        step[inside] = least_squares_solution(scaled[np.ix_(inside, inside)], pull[inside]) / size[inside]
         beyond = np.where(inside, np.maximum(least - step, step - most) * size, 0.0)
         worst = int(np.argmax(beyond))
         if beyond[worst] <= 0.0:
@@ -610,79 +665,79 @@ def _moved(point: Point, damping: float) -> dict[str, float]:
         step[worst] = least[worst] if step[worst] < least[worst] else most[worst]
         inside[worst] = False
     moved = np.clip(here + step, low, high)
-    return _resisting({**point.values, **dict(zip(point.free, moved.tolist(), strict=True))}, point.free)
+    return _with_resisting_friction({**point.values, **dict(zip(point.free, moved.tolist(), strict=True))}, point.free)
 
 
-def climb(
-    cases: Sequence[Case],
+def levenberg_marquardt(
+    cases: Sequence[PreparedRecording],
     structure: Structure,
     values: Mapping[str, float],
-    density: float,
+    process_noise: float,
     free: tuple[str, ...],
     rounds: int = 30,
     tolerance: float = 0.05,
-) -> Point:
+) -> Fit:
     """Maximise the likelihood over the free parameters at a fixed noise density (Levenberg-Marquardt).
 
     Stops when a step promises, or has brought, less than `tolerance` of what a unit of deviance is worth there.
     """
-    return climb_on(cases, evaluate(cases, structure, values, density, free), rounds, tolerance)
+    return levenberg_marquardt_from(cases, evaluate(cases, structure, values, process_noise, free), rounds, tolerance)
 
 
-def climb_on(cases: Sequence[Case], best: Point, rounds: int, tolerance: float) -> Point:
+def levenberg_marquardt_from(cases: Sequence[PreparedRecording], best: Fit, rounds: int, tolerance: float) -> Fit:
     """From a point that is known already."""
     damping, refused, wary = 1e-3, 0, False
     for _ in range(rounds):
         if not math.isfinite(best.deviance):
-            return replace(best, converged=False, says="the start lies where the model cannot run")
-        enough = tolerance * min(best.unit, MOST_UNITS)
-        trial_values = _moved(best, damping)
+            return replace(best, converged=False, message="the start lies where the model cannot run")
+        enough = tolerance * min(best.overdispersion, MAX_OVERDISPERSION)
+        trial_values = _damped_step(best, damping)
         change = np.array([trial_values[n] - best.values[n] for n in best.free])
-        promised = float(2.0 * best.gradient @ change - change @ best.normal @ change)
+        promised = float(2.0 * best.gradient @ change - change @ best.information @ change)
         if promised < enough:
             return best
         # Where one step was refused half of the others are, too: these are looked at without their slopes first.
-        trial = evaluate(cases, best.structure, trial_values, best.density, () if wary else best.free)
+        trial = evaluate(cases, best.structure, trial_values, best.process_noise, () if wary else best.free)
         gained = best.deviance - trial.deviance
         if gained > 0.0:
-            best = evaluate(cases, best.structure, trial_values, best.density, best.free) if wary else trial
+            best = evaluate(cases, best.structure, trial_values, best.process_noise, best.free) if wary else trial
             refused = 0
             damping = max(damping * (0.1 if gained > 0.5 * promised else 0.5), 1e-9)
             if gained < enough:
                 return best
         else:
             refused, wary = refused + 1, True
-            if refused == PATIENCE:
-                return replace(best, says="steps along the slope lead no higher: the likelihood is rough here")
+            if refused == MAX_REFUSED_STEPS:
+                return replace(best, message="steps along the slope lead no higher: the likelihood is rough here")
             damping = max(damping * 10.0, 0.03)
-    return replace(best, converged=False, says="the search ran out of rounds")
+    return replace(best, converged=False, message="the search ran out of rounds")
 
 
 #: Deviance at the ends of a 95 % interval of one parameter.
 _CHI2_95 = 3.841
 #: So often at most an end of such an interval is moved, and steps in which all other parameters follow it there: where
 #: gap and motor's share make up for each other, fewer end on the ridge's flank, and the interval too soon.
-PASSES, REFITS = 4, 8
+PROFILE_PASSES, PROFILE_STEPS = 4, 8
 
 
-def _by_slope(point: Point, name: str, value: float) -> dict[str, float]:
+def _shifted_along_slope(point: Fit, name: str, value: float) -> dict[str, float]:
     """The values with a free parameter at this one, and the others where the information says that they follow it."""
     i = point.free.index(name)
     rest = [k for k in range(len(point.free)) if k != i]
-    slope = -solved(point.normal[np.ix_(rest, rest)], point.normal[rest, i])
+    slope = -least_squares_solution(point.information[np.ix_(rest, rest)], point.information[rest, i])
     change = {point.free[k]: (value - point.values[name]) * f for k, f in zip(rest, slope.tolist(), strict=True)}
-    return {**point.values, **_within({n: point.values[n] + c for n, c in change.items()}), name: value}
+    return {**point.values, **_clipped_to_bounds({n: point.values[n] + c for n, c in change.items()}), name: value}
 
 
-def _by_powers(point: Point, name: str, value: float, powers: Mapping[str, float]) -> dict[str, float]:
+def _shifted_by_powers(point: Fit, name: str, value: float, powers: Mapping[str, float]) -> dict[str, float]:
     """The same where others go with powers of it."""
     ratio = max(value, 1e-3 * point.values[name]) / max(point.values[name], 1e-300)
     moved = {n: point.values[n] * ratio**power for n, power in powers.items() if n in point.free}
-    return {**point.values, **_within(moved), name: value}
+    return {**point.values, **_clipped_to_bounds(moved), name: value}
 
 
 def profile_interval(
-    cases: Sequence[Case], point: Point, name: str, std: float, powers: Mapping[str, float]
+    cases: Sequence[PreparedRecording], point: Fit, name: str, std: float, powers: Mapping[str, float]
 ) -> tuple[float, float]:
     """95 % interval of a free parameter from the profile of the likelihood, all others refitted.
 
@@ -700,11 +755,16 @@ def profile_interval(
     i = point.free.index(name)
     plain = math.sqrt(max(float(point.covariance[i, i]), 1e-300))
     wanted = _CHI2_95 * (std / plain) ** 2
-    passes = PASSES if point.unit < ERRS else 0
+    passes = PROFILE_PASSES if point.overdispersion < OVERDISPERSION_OF_WRONG_MODEL else 0
 
-    def likeliest(near: Point, value: float, free: tuple[str, ...]) -> Point:
-        begun = [_by_slope(near, name, value)] + ([_by_powers(near, name, value, powers)] if powers else [])
-        reached = [climb(cases, point.structure, begin, point.density, free, REFITS) for begin in begun]
+    def likeliest(near: Fit, value: float, free: tuple[str, ...]) -> Fit:
+        begun = [_shifted_along_slope(near, name, value)] + (
+            [_shifted_by_powers(near, name, value, powers)] if powers else []
+        )
+        reached = [
+            levenberg_marquardt(cases, point.structure, begin, point.process_noise, free, PROFILE_STEPS)
+            for begin in begun
+        ]
         return min(reached, key=lambda p: p.deviance)
 
     ends = []
@@ -730,7 +790,7 @@ def profile_interval(
     return ends[0], ends[1]
 
 
-def _renewal(case: Case) -> float:
+def _renewal_interval(case: PreparedRecording) -> float:
     """The usual time between readings that are new, s: a computed speed is often held over many stamps."""
     if not case.drive.speed:
         return case.step
@@ -738,27 +798,29 @@ def _renewal(case: Case) -> float:
     return case.step * len(read) / max(int(np.count_nonzero(np.diff(read))), 1)
 
 
-def densest(cases: Sequence[Case]) -> float:
+def largest_process_noise(cases: Sequence[PreparedRecording]) -> float:
     """The noise density at which the filter weighs the fewest readings that it may."""
-    return min(density_of(c, LEAST_READINGS * _renewal(c)) for c in cases)
+    return min(process_noise_of(c, MIN_READINGS_IN_MEMORY * _renewal_interval(c)) for c in cases)
 
 
-def astray(cases: Sequence[Case], point: Point) -> bool:
+def is_misspecified(cases: Sequence[PreparedRecording], point: Fit) -> bool:
     """Whether the model misses so much that its noise forgets as fast as it may, and errors stay correlated still.
 
     Such a likelihood is rough, and which of its many valleys is the deepest says little about the axis.
     """
-    return point.unit > ERRS and point.density > 0.5 * densest(cases)
+    return point.overdispersion > OVERDISPERSION_OF_WRONG_MODEL and point.process_noise > 0.5 * largest_process_noise(
+        cases
+    )
 
 
-def best_density(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], around: float | None = None
+def most_likely_process_noise(
+    cases: Sequence[PreparedRecording], structure: Structure, values: Mapping[str, float], around: float | None = None
 ) -> float:
     """The noise density that makes the recordings likeliest at fixed parameters; none that forgets too fast.
 
     `around` a density that is known already it is looked for within a factor of three hundred.
     """
-    top = math.log10(densest(cases))
+    top = math.log10(largest_process_noise(cases))
 
     def looked(exponents: Sequence[float]) -> list[float]:
         return each(lambda d: evaluate(cases, structure, values, 10.0**d).deviance, exponents)
@@ -781,26 +843,26 @@ def best_density(
     return float(10.0**middle)
 
 
-def fit(
-    cases: Sequence[Case],
+def fit_with_process_noise(
+    cases: Sequence[PreparedRecording],
     structure: Structure,
     values: Mapping[str, float],
     free: tuple[str, ...],
-    density: float | None = None,
+    process_noise: float | None = None,
     rounds: int = 15,
     most: float = math.inf,
-) -> Point:
+) -> Fit:
     """Maximum likelihood over the free parameters and the noise density, alternating until neither moves; the density
     stays at most so much.
 
     Until the density is settled the parameters only have to be about right.
     """
-    current = density if density is not None else best_density(cases, structure, values)
-    point = climb(cases, structure, values, current, free, min(rounds, 5), tolerance=1.0)
+    current = process_noise if process_noise is not None else most_likely_process_noise(cases, structure, values)
+    point = levenberg_marquardt(cases, structure, values, current, free, min(rounds, 5), tolerance=1.0)
     for _ in range(6):
-        found = min(best_density(cases, structure, point.values, around=current), most)
+        found = min(most_likely_process_noise(cases, structure, point.values, around=current), most)
         if abs(math.log10(found / current)) < 0.1:
             break
         current = found
-        point = climb(cases, structure, point.values, current, free, min(rounds, 5), tolerance=1.0)
-    return climb_on(cases, point, rounds, 0.05)
+        point = levenberg_marquardt(cases, structure, point.values, current, free, min(rounds, 5), tolerance=1.0)
+    return levenberg_marquardt_from(cases, point, rounds, 0.05)

@@ -11,67 +11,78 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from twin.estimation import likelihood, multistart, preparation
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 from twin.model.stepper import Structure
 from twin.parallel import each
 
 #: The least memory of a filter that judges, s.
-MEMORY = 0.1
+MIN_MEMORY = 0.1
 #: Noise densities within this factor judge alike.
-ALIKE = 1.5
+PROCESS_NOISE_TOLERANCE = 1.5
 
 
-def judged(cases: Sequence[Case], point: Point) -> float:
+def judging_process_noise(cases: Sequence[PreparedRecording], point: Fit) -> float:
     """The noise density at which the first round is judged."""
-    return min(likelihood.density_of(cases[0], MEMORY), point.density)
+    return min(likelihood.process_noise_of(cases[0], MIN_MEMORY), point.process_noise)
 
 
-def settle(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float], density: float
-) -> Point:
+def refit(
+    cases: Sequence[PreparedRecording],
+    structure: Structure,
+    values: Mapping[str, float],
+    held: Mapping[str, float],
+    process_noise: float,
+) -> Fit:
     """The maximum near these values at a noise density, with everything free that is not held."""
-    structure = preparation.with_teeth(structure)
-    mine = preparation.with_steps(cases, structure)
+    structure = preparation.with_tooth_compliance(structure)
+    mine = preparation.with_internal_step(cases, structure)
     free = tuple(n for n in preparation.free_parameters(structure) if n not in held)
-    full = preparation.completed(structure, values) | dict(held)
-    return likelihood.climb(mine, structure, full, density, free, tolerance=0.2)
+    full = preparation.complete_values(structure, values) | dict(held)
+    return likelihood.levenberg_marquardt(mine, structure, full, process_noise, free, tolerance=0.2)
 
 
-def highest(
-    cases: Sequence[Case], structure: Structure, starts: Sequence[Mapping[str, float]], held: Mapping[str, float],
-    density: float,
-) -> Point:  # fmt: skip
+def best_refit(
+    cases: Sequence[PreparedRecording],
+    structure: Structure,
+    starts: Sequence[Mapping[str, float]],
+    held: Mapping[str, float],
+    process_noise: float,
+) -> Fit:
     """The likeliest of the maxima near several values."""
-    return min(each(lambda v: settle(cases, structure, v, held, density), starts), key=lambda p: p.deviance)
+    return min(each(lambda v: refit(cases, structure, v, held, process_noise), starts), key=lambda p: p.deviance)
 
 
-def kept(point: Point) -> dict[str, float]:
+def held_values(point: Fit) -> dict[str, float]:
     """What could be estimated and was not free: it stays as it is."""
     return {n: point.values[n] for n in preparation.free_parameters(point.structure) if n not in point.free}
 
 
-def rejudged(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
+def refit_at_own_noise(cases: Sequence[PreparedRecording], point: Fit, held: Mapping[str, float]) -> Fit:
     """The maximum at the noise density that the model asks for, now that it lacks less."""
-    mine = preparation.with_steps(cases, point.structure)
-    likeliest = likelihood.best_density(mine, point.structure, point.values, around=point.density)
-    density = min(likelihood.density_of(cases[0], MEMORY), likeliest, point.density)
-    if 1.0 / ALIKE < density / point.density < ALIKE:
+    mine = preparation.with_internal_step(cases, point.structure)
+    likeliest = likelihood.most_likely_process_noise(mine, point.structure, point.values, around=point.process_noise)
+    process_noise = min(likelihood.process_noise_of(cases[0], MIN_MEMORY), likeliest, point.process_noise)
+    if 1.0 / PROCESS_NOISE_TOLERANCE < process_noise / point.process_noise < PROCESS_NOISE_TOLERANCE:
         return point
-    return settle(cases, point.structure, point.values, held, density)
+    return refit(cases, point.structure, point.values, held, process_noise)
 
 
-def retoothed(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float], density: float
-) -> Point:
+def restart_tooth_stiffness(
+    cases: Sequence[PreparedRecording],
+    structure: Structure,
+    values: Mapping[str, float],
+    held: Mapping[str, float],
+    process_noise: float,
+) -> Fit:
     """The maximum near these values with teeth that are looked for anew."""
-    structure = preparation.with_teeth(structure)
-    mine = preparation.with_steps(cases, structure)
-    seen = multistart.glimpses(mine, structure)
-    begun = multistart.likeliest_teeth(seen, structure, preparation.completed(structure, values), density)
-    return settle(cases, structure, begun, held, density)
+    structure = preparation.with_tooth_compliance(structure)
+    mine = preparation.with_internal_step(cases, structure)
+    seen = multistart.excerpts(mine, structure)
+    begun = multistart.best_tooth_start(seen, structure, preparation.complete_values(structure, values), process_noise)
+    return refit(cases, structure, begun, held, process_noise)
 
 
-def relocated(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
+def restart_gap(cases: Sequence[PreparedRecording], point: Fit, held: Mapping[str, float]) -> Fit:
     """The point, or a better one where gap, shares and teeth are looked for anew.
 
     What was missing until now may have led them astray, and no slope leads back.
@@ -79,28 +90,34 @@ def relocated(cases: Sequence[Case], point: Point, held: Mapping[str, float]) ->
     if not point.structure.toothed:
         return point
     rigid = point.structure.without("tooth_compliance")
-    seen = multistart.glimpses(preparation.with_steps(cases, rigid), rigid)
+    seen = multistart.excerpts(preparation.with_internal_step(cases, rigid), rigid)
 
-    def looked(memory: float) -> Point:
-        rough = multistart.coarse(seen, rigid, preparation.completed(rigid, point.values), held, memory)
-        return retoothed(cases, point.structure, {**point.values, **rough.values}, held, point.density)
+    def looked(memory: float) -> Fit:
+        rough = multistart.coarse_fit(seen, rigid, preparation.complete_values(rigid, point.values), held, memory)
+        return restart_tooth_stiffness(
+            cases, point.structure, {**point.values, **rough.values}, held, point.process_noise
+        )
 
-    return min([point, *each(looked, multistart.MEMORIES)], key=lambda p: p.deviance)
+    return min([point, *each(looked, multistart.COARSE_MEMORIES)], key=lambda p: p.deviance)
 
 
-def deepen(cases: Sequence[Case], point: Point, held: Mapping[str, float]) -> Point:
+def refit_through_best_noise(cases: Sequence[PreparedRecording], point: Fit, held: Mapping[str, float]) -> Fit:
     """The point, or a better one by way of the noise density that the recording asks for, where valleys are wider."""
-    mine = preparation.with_steps(cases, point.structure)
-    likeliest = likelihood.fit(mine, point.structure, point.values, point.free, point.density, rounds=12)
-    other = settle(cases, point.structure, likeliest.values, held, point.density)
+    mine = preparation.with_internal_step(cases, point.structure)
+    likeliest = likelihood.fit_with_process_noise(
+        mine, point.structure, point.values, point.free, point.process_noise, rounds=12
+    )
+    other = refit(cases, point.structure, likeliest.values, held, point.process_noise)
     return min(point, other, key=lambda p: p.deviance)
 
 
-def sharpened(cases: Sequence[Case], point: Point) -> Point:
+def with_longer_memory(cases: Sequence[PreparedRecording], point: Fit) -> Fit:
     """The point, with a longer memory where the recording asks for one: the model then is right for longer."""
-    mine = preparation.with_steps(cases, point.structure)
-    density = likelihood.best_density(mine, point.structure, point.values, around=point.density)
-    if density > 0.8 * point.density:
+    mine = preparation.with_internal_step(cases, point.structure)
+    process_noise = likelihood.most_likely_process_noise(
+        mine, point.structure, point.values, around=point.process_noise
+    )
+    if process_noise > 0.8 * point.process_noise:
         return point
-    found = likelihood.fit(mine, point.structure, point.values, point.free, density)
-    return found if found.density < point.density else point
+    found = likelihood.fit_with_process_noise(mine, point.structure, point.values, point.free, process_noise)
+    return found if found.process_noise < point.process_noise else point

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from twin.errors import BadInput
 from twin.estimation import likelihood, multistart, preparation
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 from twin.io.recording import Recording, known_quantities, to_fit, told_of
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
@@ -25,10 +25,10 @@ from twin.parallel import each
 #: Bounded and kinked parameters, whose likelihood is no parabola.
 PROFILED = ("dead_band_forward", "dead_band_reverse", "backlash_gap")
 #: Changes of teeth and gap that matter to nothing but the order of bounces, as shares of their values.
-_TREMBLE = {"tooth_frequency": 0.01, "tooth_damping": 0.01, "backlash_gap": 0.001}
+_PERTURBATIONS = {"tooth_frequency": 0.01, "tooth_damping": 0.01, "backlash_gap": 0.001}
 
 
-def _notes(point: Point, covariance: NDArray[np.float64]) -> dict[str, str]:
+def _notes(point: Fit, covariance: NDArray[np.float64]) -> dict[str, str]:
     """What the recording cannot fix, and what would."""
     size = np.sqrt(np.diag(covariance))
     notes = {}
@@ -56,30 +56,32 @@ def _remedy(name: str, partner: str) -> str:
     return "add steps at more duties, coast-downs and slow ramps"
 
 
-def roughness(cases: Sequence[Case], point: Point) -> float:
+def roughness(cases: Sequence[PreparedRecording], point: Fit) -> float:
     """How much the deviance changes, in the median, where teeth and gap change by next to nothing.
 
     Where a motor rattles on and on, every bounce depends on all those before: each value has a likelihood of its own,
     and what is gained by another may be luck. What the information promises of such a change is not counted; slopes
     that have run away promise more than comes.
     """
-    shaken = {n: share * point.values[n] for n, share in _TREMBLE.items() if n in point.free}
+    shaken = {n: share * point.values[n] for n, share in _PERTURBATIONS.items() if n in point.free}
     changes = [(n, sign * size) for n, size in shaken.items() for sign in (-1.0, 1.0)]
     if not changes:
         return 0.0
     trembled = [{**point.values, n: point.values[n] + change} for n, change in changes]
     found = likelihood.deviances(
-        preparation.with_steps(cases, point.structure), point.structure, trembled, point.density
+        preparation.with_internal_step(cases, point.structure), point.structure, trembled, point.process_noise
     )
     rise = np.array(found) - point.deviance
     own = [point.free.index(n) for n, _ in changes]
-    promised = np.diag(point.normal)[own] * np.array([change for _, change in changes]) ** 2
+    promised = np.diag(point.information)[own] * np.array([change for _, change in changes]) ** 2
     return float(np.median(np.minimum(np.abs(rise), np.abs(rise - promised))))
 
 
-def to_model(cases: Sequence[Case], point: Point, recordings: Sequence[Recording], held: Mapping[str, float]) -> Model:
+def to_model(
+    cases: Sequence[PreparedRecording], point: Fit, recordings: Sequence[Recording], held: Mapping[str, float]
+) -> Model:
     """The point as a model, with standard errors and where it comes from."""
-    covariance = likelihood.robust_covariance(preparation.with_steps(cases, point.structure), point)
+    covariance = likelihood.jackknife_covariance(preparation.with_internal_step(cases, point.structure), point)
     # Where the likelihood is rough the highest of its peaks lies anywhere within so much of the parabola's top.
     seen = np.isfinite(covariance)
     covariance[seen] += roughness(cases, point) / 3.0 * point.covariance[seen]
@@ -98,7 +100,7 @@ def to_model(cases: Sequence[Case], point: Point, recordings: Sequence[Recording
         resolution=first.resolution,
         reads_speed=first.is_speed,
         reading_std=math.sqrt(variance),
-        torque_density=point.density * variance,
+        torque_density=point.process_noise * variance,
         known={**known, **told_of(first)},
         provenance={
             "method": "joint",
@@ -123,38 +125,42 @@ def for_horizon(model: Model, recordings: Sequence[Recording], horizon: float, c
         raise BadInput("the model holds no estimate to start from: make it with twin identify")
     train = to_fit(recordings)
     structure = model.structure
-    open_ = multistart.choose_contacts(preparation.prepare(train, structure), structure, model.values)
-    cases = preparation.with_steps(open_, structure)
+    open_ = multistart.choose_initial_contacts(
+        preparation.prepare_recordings(train, structure), structure, model.values
+    )
+    cases = preparation.with_internal_step(open_, structure)
     if closed:
-        under = preparation.prepare(train, structure, closed)
-        cases = preparation.with_steps(
+        under = preparation.prepare_recordings(train, structure, closed)
+        cases = preparation.with_internal_step(
             [replace(c, contact=o.contact) for c, o in zip(under, open_, strict=True)], structure
         )
-    density = model.torque_density / model.reading_std**2
+    process_noise = model.torque_density / model.reading_std**2
     longest = min(horizon, max(float(c.drive.time[-1]) for c in cases))
 
-    def deviance(point: Point) -> float:
+    def deviance(point: Fit) -> float:
         return point.deviance
 
-    def windows(span: float) -> list[Case]:
-        return [likelihood.ahead(c, density, span) for c in cases]
+    def windows(span: float) -> list[PreparedRecording]:
+        return [likelihood.with_free_runs(c, process_noise, span) for c in cases]
 
     goal = windows(longest)
-    best = likelihood.evaluate(goal, structure, model.values, density, model.fitted)
+    best = likelihood.evaluate(goal, structure, model.values, process_noise, model.fitted)
     values: Mapping[str, float] = model.values
-    span = 2.0 * max(likelihood.memory_of(c, density) for c in cases)
+    span = 2.0 * max(likelihood.memory_of(c, process_noise) for c in cases)
     while span < longest:
-        values = likelihood.climb(windows(span), structure, values, density, model.fitted, rounds=15).values
-        trial = likelihood.evaluate(goal, structure, values, density, model.fitted)
+        values = likelihood.levenberg_marquardt(
+            windows(span), structure, values, process_noise, model.fitted, rounds=15
+        ).values
+        trial = likelihood.evaluate(goal, structure, values, process_noise, model.fitted)
         best = min(best, trial, key=deviance)
         span *= 2.0
     for begin in (values, best.values):
-        trial = likelihood.climb(goal, structure, begin, density, model.fitted)
+        trial = likelihood.levenberg_marquardt(goal, structure, begin, process_noise, model.fitted)
         best = min(best, trial, key=deviance)
     # Errors of one run hang together: stretches as long as the run, but several for every parameter.
     whole = sum(float(c.drive.time[-1]) for c in cases)
     stretch = min(longest, whole / (4.0 * len(model.fitted)))
-    covariance = likelihood.robust_covariance(goal, best, stretch)
+    covariance = likelihood.jackknife_covariance(goal, best, stretch)
     return replace(
         model,
         values={n: float(v) for n, v in best.values.items()},
@@ -165,9 +171,9 @@ def for_horizon(model: Model, recordings: Sequence[Recording], horizon: float, c
     )
 
 
-def _intervals(cases: Sequence[Case], point: Point, model: Model) -> dict[str, tuple[float, float]]:
+def _profile_intervals(cases: Sequence[PreparedRecording], point: Fit, model: Model) -> dict[str, tuple[float, float]]:
     """95 % intervals of the parameters for which a standard error is not enough."""
-    powers = {"backlash_gap": multistart.LIGHTER}
+    powers = {"backlash_gap": multistart.RIDGE_POWERS}
     names = [n for n in PROFILED if n in point.free]
     ends = each(lambda n: likelihood.profile_interval(cases, point, n, model.std(n), powers.get(n, {})), names)
     found = dict(zip(names, ends, strict=True))
@@ -191,11 +197,11 @@ def identify(
     train = to_fit(recordings)
     tell("a coarse fit", 0.0)
     held = dict(held or {})
-    cases, begun = multistart.start(train, structure, held)
+    cases, begun = multistart.coarse_starts(train, structure, held)
     tell("the full likelihood", 0.3)
-    point = multistart.refine(cases, preparation.with_teeth(structure), begun, held)
+    point = multistart.fit_from_starts(cases, preparation.with_tooth_compliance(structure), begun, held)
     tell("leaving local valleys", 0.75)
-    cases, point = multistart.polish(cases, point)
+    cases, point = multistart.leave_local_optima(cases, point)
     model = to_model(cases, point, train, held)
     tell("profiles of the likelihood", 0.85)
-    return replace(model, intervals=_intervals(cases, point, model))
+    return replace(model, intervals=_profile_intervals(cases, point, model))

@@ -21,7 +21,7 @@ from scipy.optimize import differential_evolution
 
 from twin.estimation import contact_masking, likelihood, preparation
 from twin.estimation.initial_values import start_values
-from twin.estimation.likelihood import Case, Point
+from twin.estimation.likelihood import Fit, PreparedRecording
 from twin.io.recording import Recording
 from twin.model import equations
 from twin.model.stepper import Structure
@@ -29,76 +29,86 @@ from twin.parallel import each
 
 #: Memories of the filter while coarse values are looked for, s: a long one sees more where nothing rattles, and where a
 #: light motor does, a short one is not led astray by its bounces.
-MEMORIES = (0.1, 0.025)
-_GRID = {
+COARSE_MEMORIES = (0.1, 0.025)
+_COARSE_GRID = {
     "backlash_gap": (0.003, 0.006, 0.009, 0.013, 0.018, 0.025, 0.035, 0.05, 0.07, 0.09),
     "motor_share": (0.12, 0.22, 0.36, 0.55),
     "friction_share": (0.4, 0.8),
 }
-_TEETH = {"tooth_frequency": (60.0, 90.0, 130.0, 190.0), "tooth_damping": (0.12, 0.2, 0.35, 0.5)}
+_TOOTH_GRID = {"tooth_frequency": (60.0, 90.0, 130.0, 190.0), "tooth_damping": (0.12, 0.2, 0.35, 0.5)}
 #: Between what gap, shares and teeth are bred where nothing else leads to them, with what memory of the filter, s, how
 #: many at a time and for how many generations; how far apart the best are that go on, as a ratio, and how many.
-_RANGES = {
+_EVOLUTION_RANGES = {
     "backlash_gap": (0.003, 0.15), "motor_share": (0.08, 0.7), "friction_share": (0.2, 1.0),
     "tooth_frequency": (50.0, 250.0), "tooth_damping": (0.08, 0.7),
 }  # fmt: skip
-_LOOSE, _CROWD, _GENERATIONS, _APART, _CHOSEN = 0.01, 32, 9, 1.1, 3
+_EVOLUTION_MEMORY, _POPULATION, _GENERATIONS, _MIN_RATIO_APART, _MAX_STARTS = 0.01, 32, 9, 1.1, 3
 #: What is looked for from afar: no slope leads to it.
-SOUGHT = tuple(_RANGES)
+MULTIMODAL = tuple(_EVOLUTION_RANGES)
 #: A unit of deviance is worth so little where the motor rattles, or physics is missing.
-_ROUGH = 1.3
+_ROUGH_OVERDISPERSION = 1.3
 #: The shortest memory of the filter from which on it is lengthened, s, how often it is at most, and up to where
 #: whatever comes of it: teeth ring for so long, and what forgets sooner may do well with any.
-_BRIEF, _RUNGS, _RINGS = 0.007, 12, 0.05
+_SHORTEST_MEMORY, _MAX_LENGTHENINGS, _RINGING_TIME = 0.007, 12, 0.05
 #: Coarse values are looked for in so many parts of a recording, of so many seconds each, and the way on from there in
 #: longer parts: more would say no more of where the valleys lie, and take longer.
-_PARTS, _LASTING, _LONGER = 5, 4.0, 12.0
+_EXCERPTS, _EXCERPT_LENGTH, _LONG_EXCERPT_LENGTH = 5, 4.0, 12.0
 #: Where in the gap a motor may start, and how many s of a recording at least, after motor and link have met, show it.
-_CONTACTS, _FIRST, _SHOWN = tuple(np.linspace(-1.0, 1.0, 9).tolist()), 3.0, 1.0
-_RIDGE = ("dead_band_forward", "dead_band_reverse")
-_FOLLOW = ("input_gain", "viscous_friction")
+_CONTACT_GRID, _CONTACT_DURATION, _CONTACT_MARGIN = tuple(np.linspace(-1.0, 1.0, 9).tolist()), 3.0, 1.0
+_DEAD_BANDS = ("dead_band_forward", "dead_band_reverse")
+_RIDGE_FOLLOWERS = ("input_gain", "viscous_friction")
 #: By which powers of the gap the shares go with it, so that the motor crosses it in the same time.
-LIGHTER = {"motor_share": -1.0, "friction_share": -1.0}
+RIDGE_POWERS = {"motor_share": -1.0, "friction_share": -1.0}
 
 
-def _scaled(grid: Mapping[str, tuple[float, ...]], cases: Sequence[Case]) -> dict[str, tuple[float, ...]]:
+def _in_axis_units(
+    grid: Mapping[str, tuple[float, ...]], cases: Sequence[PreparedRecording]
+) -> dict[str, tuple[float, ...]]:
     """A grid whose gaps are in the unit of these recordings, not in rad."""
     lever = cases[0].recording.lever
     return {n: tuple(lever * x for x in v) if n == "backlash_gap" else v for n, v in grid.items()}
 
 
-def _scan(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], density: float,
+def _grid_search(
+    cases: Sequence[PreparedRecording], structure: Structure, values: Mapping[str, float], process_noise: float,
     grid: Mapping[str, Iterable[float]], keep: int,
 ) -> list[dict[str, float]]:  # fmt: skip
     """The best few points of a grid, by deviance."""
     trials = [{**values, **dict(zip(grid, point, strict=True))} for point in itertools.product(*grid.values())]
-    found = likelihood.deviances(cases, structure, trials, density)
+    found = likelihood.deviances(cases, structure, trials, process_noise)
     return [trials[i] for i in np.argsort(found, kind="stable")[:keep]]
 
 
-def coarse(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], held: Mapping[str, float], memory: float
-) -> Point:
+def coarse_fit(
+    cases: Sequence[PreparedRecording],
+    structure: Structure,
+    values: Mapping[str, float],
+    held: Mapping[str, float],
+    memory: float,
+) -> Fit:
     """A point in the right valley, by steps (1) and (2), for contact without compliance and a filter's memory (s)."""
-    density = likelihood.density_of(cases[0], memory)
+    process_noise = likelihood.process_noise_of(cases[0], memory)
     rigid = structure.without("tooth_compliance")
     free = tuple(n for n in preparation.free_parameters(rigid) if n not in held)
-    core = tuple(n for n in free if n not in _GRID)
-    point = likelihood.climb(cases, rigid, values, density, core, rounds=12, tolerance=1.0)
-    grid = {n: v for n, v in _scaled(_GRID, cases).items() if n in free}
+    core = tuple(n for n in free if n not in _COARSE_GRID)
+    point = likelihood.levenberg_marquardt(cases, rigid, values, process_noise, core, rounds=12, tolerance=1.0)
+    grid = {n: v for n, v in _in_axis_units(_COARSE_GRID, cases).items() if n in free}
     if not grid:
         return point
     best = point
-    for begin in _scan(cases, rigid, point.values, density, grid, keep=2):
-        trial = likelihood.climb(cases, rigid, begin, density, core, rounds=4, tolerance=1.0)
-        trial = likelihood.climb(cases, rigid, trial.values, density, free, rounds=15, tolerance=1.0)
+    for begin in _grid_search(cases, rigid, point.values, process_noise, grid, keep=2):
+        trial = likelihood.levenberg_marquardt(cases, rigid, begin, process_noise, core, rounds=4, tolerance=1.0)
+        trial = likelihood.levenberg_marquardt(
+            cases, rigid, trial.values, process_noise, free, rounds=15, tolerance=1.0
+        )
         if trial.deviance < best.deviance:
             best = trial
     return best
 
 
-def glimpses(cases: Sequence[Case], structure: Structure, lasting: float = _LASTING) -> list[Case]:
+def excerpts(
+    cases: Sequence[PreparedRecording], structure: Structure, lasting: float = _EXCERPT_LENGTH
+) -> list[PreparedRecording]:
     """Parts of the recordings that last so long (s), spread evenly; a short recording is one part, and so is any whose
     physics counts the time since its start."""
     if equations.timed(structure):
@@ -106,7 +116,7 @@ def glimpses(cases: Sequence[Case], structure: Structure, lasting: float = _LAST
     parts = []
     for case in cases:
         end = float(case.recording.time[-1])
-        if end <= _PARTS * lasting:
+        if end <= _EXCERPTS * lasting:
             parts.append(case)
             continue
         # Each begins with a reading and holds at least half as many as any: some would lie in a long silence.
@@ -114,150 +124,177 @@ def glimpses(cases: Sequence[Case], structure: Structure, lasting: float = _LAST
         held = np.searchsorted(read, read + lasting, "right") - np.arange(len(read))
         full = read[2 * held >= held.max()]
         full = full[full <= max(end - lasting, full[0])]
-        begins = full[np.linspace(0, len(full) - 1, _PARTS).astype(int)].tolist()
-        parts += [preparation.part(case, structure, begin, begin + lasting) for begin in begins]
+        begins = full[np.linspace(0, len(full) - 1, _EXCERPTS).astype(int)].tolist()
+        parts += [preparation.excerpt(case, structure, begin, begin + lasting) for begin in begins]
     return parts
 
 
-def choose_contacts(cases: Sequence[Case], structure: Structure, values: Mapping[str, float]) -> list[Case]:
+def choose_initial_contacts(
+    cases: Sequence[PreparedRecording], structure: Structure, values: Mapping[str, float]
+) -> list[PreparedRecording]:
     """Where in the gap each motor starts, by the likelihood of its first seconds."""
     if "backlash" not in structure:
         return list(cases)
     chosen = []
     for case in cases:
-        shown = 0.0 if case.beginning is None else float(case.drive.time[case.beginning][-1]) + _SHOWN
-        first = preparation.part(case, structure, 0.0, min(max(_FIRST, shown), float(case.recording.time[-1])))
-        first = replace(first, beginning=None)
-        density = likelihood.density_of(first, MEMORIES[0])
+        shown = 0.0 if case.start_mask is None else float(case.drive.time[case.start_mask][-1]) + _CONTACT_MARGIN
+        first = preparation.excerpt(
+            case, structure, 0.0, min(max(_CONTACT_DURATION, shown), float(case.recording.time[-1]))
+        )
+        first = replace(first, start_mask=None)
+        process_noise = likelihood.process_noise_of(first, COARSE_MEMORIES[0])
         scored = [
-            (likelihood.evaluate([replace(first, contact=s)], structure, values, density).deviance, s)
-            for s in (case.contact, *_CONTACTS)
+            (likelihood.evaluate([replace(first, contact=s)], structure, values, process_noise).deviance, s)
+            for s in (case.contact, *_CONTACT_GRID)
         ]
         chosen.append(replace(case, contact=min(scored, key=lambda pair: pair[0])[1]))
     return chosen
 
 
-def start(
+def coarse_starts(
     recordings: Sequence[Recording], structure: Structure, held: Mapping[str, float]
-) -> tuple[list[Case], list[Point]]:
+) -> tuple[list[PreparedRecording], list[Fit]]:
     """Cases, and coarse points of the structure without compliant teeth; `held` parameters keep their value."""
     rigid = structure.without("tooth_compliance")
-    cases = preparation.prepare(recordings, rigid)
+    cases = preparation.prepare_recordings(recordings, rigid)
     values = {**start_values(cases, rigid), **held}
-    seen = glimpses(cases, rigid)
-    points = each(lambda m: coarse(seen, rigid, values, held, m), MEMORIES)
-    return choose_contacts(cases, rigid, points[0].values), points
+    seen = excerpts(cases, rigid)
+    points = each(lambda m: coarse_fit(seen, rigid, values, held, m), COARSE_MEMORIES)
+    return choose_initial_contacts(cases, rigid, points[0].values), points
 
 
-def _shortest(cases: Sequence[Case]) -> float:
+def _shortest_memory(cases: Sequence[PreparedRecording]) -> float:
     """The memory of the filter from which on it is lengthened, s."""
-    return max(_BRIEF, *(likelihood.memory_of(c, likelihood.densest([c])) for c in cases))
+    return max(_SHORTEST_MEMORY, *(likelihood.memory_of(c, likelihood.largest_process_noise([c])) for c in cases))
 
 
-def _lengthened(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], free: tuple[str, ...]
-) -> Point:
+def _fit_by_lengthening_memory(
+    cases: Sequence[PreparedRecording], structure: Structure, values: Mapping[str, float], free: tuple[str, ...]
+) -> Fit:
     """The likeliest point on the way from a filter that forgets at once to one that remembers for long.
 
     A light motor bounces in its gap, and whatever moves a bounce makes a valley. A filter that forgets has lost the
     bounces and sees one wide valley of how hard motor and link meet; as it remembers more, this valley divides, and
     the climb stays in the part that it is in. Where the model is wrong, a short memory is the best that there is.
     """
-    shortest = _shortest(cases)
-    points: list[Point] = []
-    for rung in range(_RUNGS):
+    shortest = _shortest_memory(cases)
+    points: list[Fit] = []
+    for rung in range(_MAX_LENGTHENINGS):
         memory = shortest * 2.0 ** (0.5 * rung)
-        density = likelihood.density_of(cases[0], memory)
-        points.append(likelihood.climb(cases, structure, values, density, free, rounds=15, tolerance=1.0))
+        process_noise = likelihood.process_noise_of(cases[0], memory)
+        points.append(
+            likelihood.levenberg_marquardt(cases, structure, values, process_noise, free, rounds=15, tolerance=1.0)
+        )
         values = points[-1].values
-        if memory > _RINGS and min(p.deviance for p in points) < min(p.deviance for p in points[-2:]):
+        if memory > _RINGING_TIME and min(p.deviance for p in points) < min(p.deviance for p in points[-2:]):
             break
     return min(points, key=lambda p: p.deviance)
 
 
-def _bred(cases: Sequence[Case], point: Point) -> list[dict[str, float]]:
+def _evolved_starts(cases: Sequence[PreparedRecording], point: Fit) -> list[dict[str, float]]:
     """Values with likely gaps, shares and teeth, far from each other, by differential evolution (Storn and Price, J.
     Global Optimization 11, 1997) at a short memory.
 
     Where a motor rattles the slopes lead from everywhere into valleys nearby, but the deviance tells what is near the
     truth from what is not; so many are tried, and the better ones mixed with each other.
     """
-    ranges = _scaled(_RANGES, cases)
+    ranges = _in_axis_units(_EVOLUTION_RANGES, cases)
     names = [n for n in ranges if n in point.free]
     if len(names) < 2:
         return []
-    seen = glimpses(cases, point.structure)
-    density = likelihood.density_of(seen[0], max(_LOOSE, likelihood.memory_of(seen[0], likelihood.densest(seen))))
+    seen = excerpts(cases, point.structure)
+    process_noise = likelihood.process_noise_of(
+        seen[0], max(_EVOLUTION_MEMORY, likelihood.memory_of(seen[0], likelihood.largest_process_noise(seen)))
+    )
 
     def valued(x: NDArray[np.float64]) -> dict[str, float]:
         return {**point.values, **dict(zip(names, np.exp(x).tolist(), strict=True))}
 
     crowd = differential_evolution(
-        lambda x: np.array(likelihood.deviances(seen, point.structure, [valued(v) for v in x.T], density)),
-        np.log([ranges[n] for n in names]), maxiter=_GENERATIONS, popsize=_CROWD // len(names), init="sobol", rng=0,
-        polish=False, vectorized=True, updating="deferred", tol=0.0,
-    )  # fmt: skip
+        lambda x: np.array(likelihood.deviances(seen, point.structure, [valued(v) for v in x.T], process_noise)),
+        np.log([ranges[n] for n in names]),
+        maxiter=_GENERATIONS,
+        popsize=_POPULATION // len(names),
+        init="sobol",
+        rng=0,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        tol=0.0,
+    )
     chosen: list[NDArray[np.float64]] = []
     for one in crowd.population[np.argsort(crowd.population_energies)]:
-        if len(chosen) < _CHOSEN and all(np.abs(one - other).max() > math.log(_APART) for other in chosen):
+        if len(chosen) < _MAX_STARTS and all(
+            np.abs(one - other).max() > math.log(_MIN_RATIO_APART) for other in chosen
+        ):
             chosen.append(one)
     return [valued(x) for x in chosen]
 
 
-def _ended(point: Point) -> bool:
+def _at_bounds(point: Fit) -> bool:
     """Whether gap, shares or teeth lie at an end of what they may be."""
-    bounds = {n: likelihood.bounds_of(n) for n in _RANGES if n in point.free}
+    bounds = {n: likelihood.bounds_of(n) for n in _EVOLUTION_RANGES if n in point.free}
     return any(point.values[n] in pair for n, pair in bounds.items())
 
 
-def likeliest_teeth(
-    cases: Sequence[Case], structure: Structure, values: Mapping[str, float], density: float
+def best_tooth_start(
+    cases: Sequence[PreparedRecording], structure: Structure, values: Mapping[str, float], process_noise: float
 ) -> dict[str, float]:
     """The values with the likeliest teeth that the structure allows."""
     if "tooth_compliance" not in structure:
         return dict(values)
-    return _scan(cases, structure, values, density, _TEETH, keep=1)[0]
+    return _grid_search(cases, structure, values, process_noise, _TOOTH_GRID, keep=1)[0]
 
 
-def refine(cases: Sequence[Case], structure: Structure, begun: Sequence[Point], held: Mapping[str, float]) -> Point:
+def fit_from_starts(
+    cases: Sequence[PreparedRecording], structure: Structure, begun: Sequence[Fit], held: Mapping[str, float]
+) -> Fit:
     """The maximum of the full likelihood from coarse points, teeth included where the structure has them."""
-    mine = preparation.with_steps(cases, structure)
-    seen = glimpses(mine, structure, _LONGER)
+    mine = preparation.with_internal_step(cases, structure)
+    seen = excerpts(mine, structure, _LONG_EXCERPT_LENGTH)
     free = tuple(n for n in preparation.free_parameters(structure) if n not in held)
 
-    def likeliest(starts: Iterable[dict[str, float]]) -> Point:
-        return min(each(lambda v: _lengthened(seen, structure, v, free), starts), key=lambda p: p.deviance)
+    def likeliest(starts: Iterable[dict[str, float]]) -> Fit:
+        return min(
+            each(lambda v: _fit_by_lengthening_memory(seen, structure, v, free), starts), key=lambda p: p.deviance
+        )
 
-    best = likeliest(preparation.completed(structure, p.values) for p in begun)
+    best = likeliest(preparation.complete_values(structure, p.values) for p in begun)
     # Where the shortest memory is the best that there is, it is physics that is missing, not the right valley.
-    remembers = likelihood.memory_of(seen[0], best.density) > 1.1 * _shortest(seen)
-    if remembers and (best.unit > _ROUGH or _ended(best)) and (bred := _bred(mine, best)):
+    remembers = likelihood.memory_of(seen[0], best.process_noise) > 1.1 * _shortest_memory(seen)
+    if (
+        remembers
+        and (best.overdispersion > _ROUGH_OVERDISPERSION or _at_bounds(best))
+        and (bred := _evolved_starts(mine, best))
+    ):
         best = min(best, likeliest(bred), key=lambda p: p.deviance)
-    return likelihood.fit(mine, structure, best.values, free, best.density)
+    return likelihood.fit_with_process_noise(mine, structure, best.values, free, best.process_noise)
 
 
-def _dead_bands(cases: Sequence[Case], point: Point) -> list[dict[str, float]]:
+def _dead_band_ridge(cases: Sequence[PreparedRecording], point: Fit) -> list[dict[str, float]]:
     """Both sides of the dead-band moved together, gain and friction following: along this ridge of the likelihood
     there are valleys a tenth of a percent of the input apart, and a gradient stays in the first.
     """
-    if not all(n in point.free for n in (*_RIDGE, *_FOLLOW)):
+    if not all(n in point.free for n in (*_DEAD_BANDS, *_RIDGE_FOLLOWERS)):
         return []
-    d, o = ([point.free.index(n) for n in names] for names in (_RIDGE, _FOLLOW))
-    follow = -likelihood.solved(point.normal[np.ix_(o, o)], point.normal[np.ix_(o, d)]).sum(axis=1)
+    d, o = ([point.free.index(n) for n in names] for names in (_DEAD_BANDS, _RIDGE_FOLLOWERS))
+    follow = -likelihood.least_squares_solution(point.information[np.ix_(o, o)], point.information[np.ix_(o, d)]).sum(
+        axis=1
+    )
     reach = 0.01 * max(float(np.max(np.abs(c.recording.input))) for c in cases)
     trials = []
     for x in np.linspace(-reach, reach, 25).tolist():
-        moved = {n: max(point.values[n] + x, 0.0) for n in _RIDGE}
-        moved |= {n: max(point.values[n] + f * x, 1e-9) for n, f in zip(_FOLLOW, follow.tolist(), strict=True)}
+        moved = {n: max(point.values[n] + x, 0.0) for n in _DEAD_BANDS}
+        moved |= {n: max(point.values[n] + f * x, 1e-9) for n, f in zip(_RIDGE_FOLLOWERS, follow.tolist(), strict=True)}
         trials.append({**point.values, **moved})
     return trials
 
 
-def _gaps(cases: Sequence[Case], point: Point) -> list[dict[str, float]]:
+def _gap_ridge(cases: Sequence[PreparedRecording], point: Fit) -> list[dict[str, float]]:
     """A wider gap and a lighter motor: it takes as long to cross and hits the link as hard, so that the likelihood
     has a ridge there, and every bounce makes a valley across it.
     """
-    moving = {"backlash_gap": 1.0, **LIGHTER}
+    moving = {"backlash_gap": 1.0, **RIDGE_POWERS}
     if not set(moving) <= set(point.free):
         return []
     trials = [
@@ -267,46 +304,54 @@ def _gaps(cases: Sequence[Case], point: Point) -> list[dict[str, float]]:
     return [t for t in trials if likelihood.within_bounds(t)]
 
 
-def _elsewhere(cases: Sequence[Case], point: Point) -> Point:
+def _best_on_ridges(cases: Sequence[PreparedRecording], point: Fit) -> Fit:
     """The best point that is reached from the ridges of the likelihood, which may be the same."""
     best = point
-    for ridge in (_dead_bands, _gaps):
+    for ridge in (_dead_band_ridge, _gap_ridge):
         trials = ridge(cases, best)
         if not trials:
             continue
-        found = likelihood.deviances(cases, best.structure, trials, best.density)
-        if min(found) < best.deviance + 10.0 * best.unit:
+        found = likelihood.deviances(cases, best.structure, trials, best.process_noise)
+        if min(found) < best.deviance + 10.0 * best.overdispersion:
             begin = trials[int(np.argmin(found))]
-            other = likelihood.climb(cases, best.structure, begin, best.density, best.free, rounds=8)
+            other = likelihood.levenberg_marquardt(
+                cases, best.structure, begin, best.process_noise, best.free, rounds=8
+            )
             best = min(best, other, key=lambda p: p.deviance)
     return best
 
 
-def foreseen(cases: Sequence[Case], point: Point, most: float = math.inf) -> tuple[list[Case], Point]:
+def refit_with_contact_mask(
+    cases: Sequence[PreparedRecording], point: Fit, most: float = math.inf
+) -> tuple[list[PreparedRecording], Fit]:
     """The cases as they are judged by what the point can foresee, and the maximum near it, at a noise density of at
     most so much.
     """
-    judged = contact_masking.foreseeable(cases, point)
-    if all(a.unforeseen is b.unforeseen for a, b in zip(judged, cases, strict=True)):
+    judged = contact_masking.with_contact_mask(cases, point)
+    if all(a.contact_mask is b.contact_mask for a, b in zip(judged, cases, strict=True)):
         return list(cases), point
-    return judged, likelihood.fit(judged, point.structure, point.values, point.free, point.density, most=most)
+    return judged, likelihood.fit_with_process_noise(
+        judged, point.structure, point.values, point.free, point.process_noise, most=most
+    )
 
 
-def polish(cases: Sequence[Case], point: Point) -> tuple[list[Case], Point]:
+def leave_local_optima(cases: Sequence[PreparedRecording], point: Fit) -> tuple[list[PreparedRecording], Fit]:
     """Leave the local valleys that a climb from the coarse values ends in: meetings of motor and link that no model
     foresees, the contact at the start, the ridge.
     """
-    mine = preparation.with_steps(cases, point.structure)
-    if likelihood.astray(mine, point):
+    mine = preparation.with_internal_step(cases, point.structure)
+    if likelihood.is_misspecified(mine, point):
         return mine, point
-    mine, point = foreseen(mine, point)
-    chosen = choose_contacts(mine, point.structure, point.values)
+    mine, point = refit_with_contact_mask(mine, point)
+    chosen = choose_initial_contacts(mine, point.structure, point.values)
     if [c.contact for c in chosen] != [c.contact for c in mine]:
         mine = chosen
-        point = likelihood.climb(mine, point.structure, point.values, point.density, point.free, rounds=15)
+        point = likelihood.levenberg_marquardt(
+            mine, point.structure, point.values, point.process_noise, point.free, rounds=15
+        )
     for _ in range(2):
-        other = _elsewhere(mine, point)
-        if other.deviance > point.deviance - point.unit:
+        other = _best_on_ridges(mine, point)
+        if other.deviance > point.deviance - point.overdispersion:
             break
-        point = likelihood.fit(mine, point.structure, other.values, point.free, point.density)
-    return foreseen(mine, point)
+        point = likelihood.fit_with_process_noise(mine, point.structure, other.values, point.free, point.process_noise)
+    return refit_with_contact_mask(mine, point)

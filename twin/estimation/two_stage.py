@@ -31,13 +31,13 @@ FloatArray = NDArray[np.float64]
 #: Names of the estimates, in the order of `TwoStage.covariance`.
 NAMES = ("q", "dead_band_forward", "dead_band_reverse", "b", "c")
 
-_LEAST = 40  # readings in a hold, and a third of that in a piece
-_LOOK = 1.5  # s after a change of the input in which the crossing of the gap is looked for
-_SETTLED = 2.5  # time constants after which a hold shows its steady speed, the rest of the transient fitted
-_HEAD = 1.5  # time constants in which the crossing is looked for once b is known; later noise has the say
-_EVIDENCE = (20.0, 0.05)  # of minus twice the log-likelihood, at all and per reading, that a bend must gain
-_PIECE = 3.0  # time constants of transient that make a piece; later only drift would be added
-_RATES = np.geomspace(0.05, 40.0, 28)  # 1/s, where b is looked for at first
+_MIN_READINGS = 40  # readings in a hold, and a third of that in a piece
+_CROSSING_WINDOW = 1.5  # s after a change of the input in which the crossing of the gap is looked for
+_SETTLING_TIME = 2.5  # time constants after which a hold shows its steady speed, the rest of the transient fitted
+_CROSSING_TIME = 1.5  # time constants in which the crossing is looked for once b is known; later noise has the say
+_MIN_EVIDENCE = (20.0, 0.05)  # of minus twice the log-likelihood, at all and per reading, that a bend must gain
+_PIECE_LENGTH = 3.0  # time constants of transient that make a piece; later only drift would be added
+_RATE_GRID = np.geomspace(0.05, 40.0, 28)  # 1/s, where b is looked for at first
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +142,7 @@ def _holds(recordings: Sequence[Recording]) -> list[_Hold]:
             # The reading at the next change is still the work of this input.
             rows = np.arange(first, min(last + 1, len(time)))
             rows = rows[np.isfinite(recording.output[rows])]
-            if len(rows) < _LEAST:
+            if len(rows) < _MIN_READINGS:
                 continue
             since = float(time[first])
             level = float(np.median(command[first:last]))
@@ -161,12 +161,12 @@ def _columns(time: FloatArray, b: float, speed: bool) -> FloatArray:
     return np.column_stack([np.ones_like(time), time, (1.0 - decay) / b])
 
 
-def _rest(columns: FloatArray, y: FloatArray) -> FloatArray:
+def _residuals(columns: FloatArray, y: FloatArray) -> FloatArray:
     """What least squares leaves of y: s - H (H'H)^-1 H's, the complement of eq. (18)."""
     return np.asarray(y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0])
 
 
-def _tails(columns: FloatArray, y: FloatArray) -> FloatArray:
+def _tail_residuals(columns: FloatArray, y: FloatArray) -> FloatArray:
     """Sum of squares that least squares leaves of y[k:], for every k (n,)."""
     basis, _ = np.linalg.qr(columns)
     rows = np.column_stack([basis, y - basis @ (basis.T @ y)])  # small numbers: sums of their squares stay exact
@@ -177,7 +177,7 @@ def _tails(columns: FloatArray, y: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(gram[:, -1, -1] - (g * solved).sum(axis=1), 0.0))
 
 
-def _bends(head: _Hold, exponentials: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
+def _bend_misfits(head: _Hold, exponentials: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
     """How badly (minus twice a log-likelihood) a bend at each of the first readings fits, for each (columns, values).
 
     While the gap is crossed the link coasts, then it is hit: speed is a line, then jumps to an exponential.
@@ -185,23 +185,25 @@ def _bends(head: _Hold, exponentials: Sequence[tuple[FloatArray, FloatArray]]) -
     n = len(head.time)
     floor = 0.5 * n * max(head.noise, 1e-12 * float(np.var(head.value)), 1e-30)
     coast = np.vander(head.time, 2)
-    before = np.concatenate([[0.0], _tails(coast[::-1], head.value[::-1])[::-1][:-1]])  # of the first k readings
-    total = floor + before + np.array([_tails(columns, values) for columns, values in exponentials])
+    before = np.concatenate(
+        [[0.0], _tail_residuals(coast[::-1], head.value[::-1])[::-1][:-1]]
+    )  # of the first k readings
+    total = floor + before + np.array([_tail_residuals(columns, values) for columns, values in exponentials])
     return np.asarray(n * np.log(total[:, : int(0.6 * n)]))
 
 
-def _after_bend(time: FloatArray, misfit: FloatArray, gain: float) -> float:
+def _mesh_time(time: FloatArray, misfit: FloatArray, gain: float) -> float:
     """When the gears are in mesh: after the best bend (n,), if it is better than none (the first) by `gain`."""
     k = int(np.argmin(misfit))
     # Teeth bounce on arrival, about as long again as the crossing took.
     return float(2.0 * time[k] + 0.01) if k and misfit[0] - misfit[k] > gain else 0.0
 
 
-def _enough(readings: int) -> float:
-    return _EVIDENCE[0] + _EVIDENCE[1] * readings
+def _required_evidence(readings: int) -> float:
+    return _MIN_EVIDENCE[0] + _MIN_EVIDENCE[1] * readings
 
 
-def _head(hold: _Hold, length: float) -> _Hold:
+def _first_speeds(hold: _Hold, length: float) -> _Hold:
     """Speeds of the hold's first seconds, over steps so long that there are some 150 to 300.
 
     A drifting load makes of positions a smooth curve with bends of its own; in speeds it stays noise.
@@ -211,27 +213,27 @@ def _head(hold: _Hold, length: float) -> _Hold:
     return replace(head, time=head.time[::stride], value=head.value[::stride]).as_speeds()
 
 
-def _first_look(hold: _Hold) -> tuple[float, FloatArray]:
+def _first_mesh_time(hold: _Hold) -> tuple[float, FloatArray]:
     """When the gears are in mesh while nothing else is known; and the evidence against each of _RATES."""
-    head = _head(hold, _LOOK)
-    misfit = _bends(head, [(_columns(head.time, b, True), head.value) for b in _RATES])
+    head = _first_speeds(hold, _CROSSING_WINDOW)
+    misfit = _bend_misfits(head, [(_columns(head.time, b, True), head.value) for b in _RATE_GRID])
     chosen = misfit[int(np.argmin(np.min(misfit, axis=1)))]
-    return _after_bend(head.time, chosen, _enough(len(head.time))), np.min(misfit, axis=1)
+    return _mesh_time(head.time, chosen, _required_evidence(len(head.time))), np.min(misfit, axis=1)
 
 
-def _meshes(holds: Sequence[_Hold], b: float, line: FloatArray) -> list[float]:
+def _mesh_times(holds: Sequence[_Hold], b: float, line: FloatArray) -> list[float]:
     """When the gears are in mesh, with b and the steady speeds roughly known; like changes of the input share it."""
     groups: dict[tuple[int, float, float], list[int]] = {}
     for i, hold in enumerate(holds):
         groups.setdefault((hold.recording, round(hold.before, 6), round(hold.input, 6)), []).append(i)
     starts = [0.0] * len(holds)
     for members in groups.values():
-        heads = [_head(holds[i], min(_LOOK, 0.2 + _HEAD / b)) for i in members]
-        misfits = [_bends(h, [_without_steady(h, b, _steady_speed(h.input, line))])[0] for h in heads]
+        heads = [_first_speeds(holds[i], min(_CROSSING_WINDOW, 0.2 + _CROSSING_TIME / b)) for i in members]
+        misfits = [_bend_misfits(h, [_without_steady(h, b, _steady_speed(h.input, line))])[0] for h in heads]
         n = min(len(m) for m in misfits)
         shortest = min(heads, key=lambda h: len(h.time))
-        gain = _enough(sum(len(h.time) for h in heads))
-        start = _after_bend(shortest.time, np.sum([m[:n] for m in misfits], axis=0), gain)
+        gain = _required_evidence(sum(len(h.time) for h in heads))
+        start = _mesh_time(shortest.time, np.sum([m[:n] for m in misfits], axis=0), gain)
         for i in members:
             starts[i] = start
     return starts
@@ -244,16 +246,16 @@ def _without_steady(hold: _Hold, b: float, steady: float) -> tuple[FloatArray, F
     return np.delete(columns, known, axis=1), hold.value - steady * columns[:, known]
 
 
-def _line(duty: FloatArray) -> FloatArray:
+def _steady_regressors(duty: FloatArray) -> FloatArray:
     """Steady speed is linear in (1/q, forward dead-band / q, reverse dead-band / q)."""
     return np.column_stack([duty, -(duty > 0.0).astype(float), (duty < 0.0).astype(float)])
 
 
 def _steady_speed(duty: float, line: FloatArray) -> float:
-    return float((_line(np.array([duty])) @ line)[0])
+    return float((_steady_regressors(np.array([duty])) @ line)[0])
 
 
-def gains(steady: Sequence[tuple[float, float, float]]) -> tuple[FloatArray, FloatArray]:
+def steady_gains(steady: Sequence[tuple[float, float, float]]) -> tuple[FloatArray, FloatArray]:
     """(1/q, d_f/q, d_r/q) and their covariance from (input, speed, standard error) by weighted least squares.
 
     With the paper's four duties and equal errors this is eq. (11) solved by hand: the speeds carry the errors, so they
@@ -261,7 +263,7 @@ def gains(steady: Sequence[tuple[float, float, float]]) -> tuple[FloatArray, Flo
     the duties do not suffice.
     """
     duty, speed, error = (np.array(column) for column in zip(*steady, strict=True))
-    weighted = _line(duty) / error[:, None]
+    weighted = _steady_regressors(duty) / error[:, None]
     if np.linalg.matrix_rank(weighted) < 3:
         raise np.linalg.LinAlgError
     inverse = np.linalg.inv(weighted.T @ weighted)
@@ -271,20 +273,20 @@ def gains(steady: Sequence[tuple[float, float, float]]) -> tuple[FloatArray, Flo
     return solution, inverse * max(excess, 1.0)
 
 
-def _settling(holds: Sequence[_Hold], b: float) -> tuple[list[_Hold], float]:
+def _settled_holds(holds: Sequence[_Hold], b: float) -> tuple[list[_Hold], float]:
     """The holds that settle, and b from them alone, each with its own steady speed: a known one would be circular."""
-    long = [h for h in holds if h.length * b > _SETTLED and len(h.time) >= _LEAST]
+    long = [h for h in holds if h.length * b > _SETTLING_TIME and len(h.time) >= _MIN_READINGS]
     if not long:
         return [], b
 
     def misfit(rate: float) -> float:
-        left = [float(np.mean(_rest(_columns(h.time, rate, h.speed), h.value) ** 2)) for h in long]
+        left = [float(np.mean(_residuals(_columns(h.time, rate, h.speed), h.value) ** 2)) for h in long]
         return sum(len(h.time) * math.log(max(x, h.noise, 1e-300)) for x, h in zip(left, long, strict=True))
 
-    return long, _search(misfit, b)
+    return long, _bounded_search(misfit, b)
 
 
-def _steady(hold: _Hold, b: float) -> tuple[float, float] | None:
+def _steady_state(hold: _Hold, b: float) -> tuple[float, float] | None:
     """Steady speed and its standard error from one hold; None where the axis does not settle.
 
     Two errors add up: white noise of the readings, seen from one to the next, and a load that drifts, seen in how
@@ -310,7 +312,9 @@ def _steady(hold: _Hold, b: float) -> tuple[float, float] | None:
     return speed, max(error, 1e-9 * abs(speed))
 
 
-def bound(time: FloatArray, b: float, amplitude: float, noise: float, speed: bool = False, known: bool = True) -> float:
+def cramer_rao_bound(
+    time: FloatArray, b: float, amplitude: float, noise: float, speed: bool = False, known: bool = True
+) -> float:
     """Cramer-Rao bound of b from one piece (standard error).
 
     `time` (n,) s; `amplitude` the A of eq. (14); `noise` the standard deviation of a reading, white; `speed`: readings
@@ -319,7 +323,7 @@ def bound(time: FloatArray, b: float, amplitude: float, noise: float, speed: boo
     columns = _columns(time - time[0], b, speed)
     slope = amplitude * _transient_slope(time - time[0], b, speed)
     nuisance = np.delete(columns, columns.shape[1] - 2, axis=1) if known else columns
-    seen = float(np.sum(_rest(nuisance, slope) ** 2))
+    seen = float(np.sum(_residuals(nuisance, slope) ** 2))
     return noise / math.sqrt(seen) if seen > 0.0 else math.inf
 
 
@@ -341,7 +345,7 @@ class _Transient:
         return _without_steady(self.hold, b, self.steady)
 
     def misfit(self, b: float) -> float:
-        return float(np.sum(_rest(*self.left(b)) ** 2))
+        return float(np.sum(_residuals(*self.left(b)) ** 2))
 
     def linearised(self, b: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """At b, cleared of the nuisance: slope in b, slope in the steady speed, what is left (all (n,))."""
@@ -349,13 +353,13 @@ class _Transient:
         amplitude = float(np.linalg.lstsq(columns, y, rcond=None)[0][-1])
         slope = amplitude * _transient_slope(self.hold.time, b, self.hold.speed)
         whole = _columns(self.hold.time, b, self.hold.speed)
-        return _rest(columns, slope), _rest(columns, whole[:, whole.shape[1] - 2]), _rest(columns, y)
+        return _residuals(columns, slope), _residuals(columns, whole[:, whole.shape[1] - 2]), _residuals(columns, y)
 
     def variance(self, b: float) -> float:
         return max(self.misfit(b) / max(len(self.hold.time) - 3, 1), 1e-12 * float(np.var(self.hold.value)), 1e-300)
 
 
-def _search(misfit: Callable[[float], float], around: float) -> float:
+def _bounded_search(misfit: Callable[[float], float], around: float) -> float:
     """b of the least misfit between a tenth and ten times a first value; a scan guards against side minima."""
     grid = np.log(around) + np.linspace(-math.log(10.0), math.log(10.0), 25)
     k = int(np.argmin([misfit(math.exp(x)) for x in grid]))
@@ -365,18 +369,18 @@ def _search(misfit: Callable[[float], float], around: float) -> float:
 
 
 def _transient(hold: _Hold, start: float, b: float, steady: float, form: str) -> _Transient:
-    reading = hold.part(start, start + _PIECE / b)
+    reading = hold.part(start, start + _PIECE_LENGTH / b)
     reading = replace(reading, time=reading.time - start, since=hold.since + start)
     return _Transient(reading.as_speeds() if form == "speeds" else reading, reading, steady)
 
 
-def _judge(transient: _Transient, held_since: float, around: float) -> Piece:
+def _evaluate_piece(transient: _Transient, held_since: float, around: float) -> Piece:
     """The piece's own b, its bound, and whether it says anything about b."""
     t = transient
-    if len(t.hold.time) < _LEAST // 3:
+    if len(t.hold.time) < _MIN_READINGS // 3:
         b, why = math.nan, "fewer readings than a piece needs are left after the gap"
     else:
-        b = _search(t.misfit, around)
+        b = _bounded_search(t.misfit, around)
         at_limit = not 0.105 * around < b < 9.5 * around
         why = "the search for b ends at its limit: there is hardly a transient" if at_limit else ""
     error, fitted = math.inf, np.full(len(t.reading.time), math.nan)
@@ -386,7 +390,7 @@ def _judge(transient: _Transient, held_since: float, around: float) -> Piece:
         fitted = t.reading.value - values + columns @ solution
         scatter = float(np.sum((t.reading.value - fitted) ** 2)) / max(len(fitted) - 3, 1)
         noise = math.sqrt(max(scatter, t.reading.noise))
-        error = bound(t.reading.time, b, float(solution[-1]), noise, t.reading.speed)
+        error = cramer_rao_bound(t.reading.time, b, float(solution[-1]), noise, t.reading.speed)
         if not why and error > 0.3 * b:
             why = f"its bound for b is {error:.2g} 1/s: there is hardly a transient"
     since = t.reading.since
@@ -398,29 +402,33 @@ def _judge(transient: _Transient, held_since: float, around: float) -> Piece:
     )  # fmt: skip
 
 
-def _averaged(used: Sequence[_Transient], bs: Sequence[float]) -> tuple[float, float, FloatArray]:
+def _mean_rate(used: Sequence[_Transient], bs: Sequence[float]) -> tuple[float, float, FloatArray]:
     """Speeds as printed: mean of the pieces, its variance, and its slope in (1/q, d_f/q, d_r/q)."""
     slopes = []
     for transient, b in zip(used, bs, strict=True):
         in_b, in_steady, _ = transient.linearised(b)
-        slopes.append(-float(in_b @ in_steady / (in_b @ in_b)) * _line(np.array([transient.hold.input]))[0])
+        slopes.append(
+            -float(in_b @ in_steady / (in_b @ in_b)) * _steady_regressors(np.array([transient.hold.input]))[0]
+        )
     variance = float(np.var(bs, ddof=1)) / len(bs) if len(bs) > 1 else math.inf
     return float(np.mean(bs)), variance, np.mean(slopes, axis=0)
 
 
-def _jointly(used: Sequence[_Transient], bs: Sequence[float]) -> tuple[float, float, FloatArray]:
+def _joint_rate(used: Sequence[_Transient], bs: Sequence[float]) -> tuple[float, float, FloatArray]:
     """One b for all pieces, each weighted with its own scatter; the same three numbers.
 
     The variance is that of the pieces' scores, because readings within a piece drift together.
     """
     weights = [1.0 / t.variance(b) for t, b in zip(used, bs, strict=True)]
-    b = _search(lambda x: sum(w * t.misfit(x) for w, t in zip(weights, used, strict=True)), float(np.median(bs)))
+    b = _bounded_search(
+        lambda x: sum(w * t.misfit(x) for w, t in zip(weights, used, strict=True)), float(np.median(bs))
+    )
     information, scores, slope = 0.0, [], np.zeros(3)
     for w, transient in zip(weights, used, strict=True):
         in_b, in_steady, left = transient.linearised(b)
         information += w * float(in_b @ in_b)
         scores.append(w * float(in_b @ left))
-        slope -= w * float(in_b @ in_steady) * _line(np.array([transient.hold.input]))[0]
+        slope -= w * float(in_b @ in_steady) * _steady_regressors(np.array([transient.hold.input]))[0]
     n = len(scores)
     spread = float(np.sum(np.square(scores))) * n / (n - 1) / information**2 if n > 1 else 1.0 / information
     return b, max(spread, 1.0 / information), slope / information
@@ -442,14 +450,14 @@ def _covariance(line: FloatArray, spread: FloatArray, b: float, variance: float,
     return np.asarray(outer @ inner @ outer.T)
 
 
-def _cannot(
+def _no_estimate(
     form: str, says: str, pieces: tuple[Piece, ...] = (), steady: Sequence[tuple[float, float, float]] = ()
 ) -> TwoStage:
     nan = math.nan
     return TwoStage(form, nan, nan, nan, nan, nan, np.full((5, 5), nan), pieces, tuple(steady), says, False)
 
 
-def _levels(found: Sequence[tuple[float, float, float]]) -> tuple[tuple[float, float, float], ...]:
+def _mean_levels(found: Sequence[tuple[float, float, float]]) -> tuple[tuple[float, float, float], ...]:
     """Steady speeds by input, forwards first: repetitions of a level as one weighted mean."""
     levels = []
     for level in sorted({round(duty, 9) for duty, _, _ in found}, key=lambda duty: (duty < 0.0, abs(duty))):
@@ -460,7 +468,7 @@ def _levels(found: Sequence[tuple[float, float, float]]) -> tuple[tuple[float, f
     return tuple(levels)
 
 
-def _lacking(levels: Sequence[tuple[float, float, float]]) -> str:
+def _missing_levels(levels: Sequence[tuple[float, float, float]]) -> str:
     """Why the steady states do not give q and the dead-band; empty where they do."""
     more = "hold the input at two duties or more in each direction until the speed is steady"
     if not levels:
@@ -484,35 +492,35 @@ def two_stage(recordings: Sequence[Recording], form: str = "positions") -> TwoSt
         form, note = "speeds", " The recording holds speeds only, so these were fitted."
     if len({tuple(known_quantities(r).values()) for r in recordings}) > 1:
         says = "the recordings differ in their payload, and this method knows one inertia: fit them jointly"
-        return _cannot(form, says)
+        return _no_estimate(form, says)
     holds = _holds(recordings)
     if not holds:
         says = "the input is never constant long enough: hold it at several duties, then play a square wave"
-        return _cannot(form, says + note)
-    looks = [_first_look(hold) for hold in holds]
-    first = float(_RATES[int(np.argmin(np.sum([misfit for _, misfit in looks], axis=0)))])
+        return _no_estimate(form, says + note)
+    looks = [_first_mesh_time(hold) for hold in holds]
+    first = float(_RATE_GRID[int(np.argmin(np.sum([misfit for _, misfit in looks], axis=0)))])
     driven = [(h, h.part(start)) for h, (start, _) in zip(holds, looks, strict=True) if h.input != 0.0]
-    long, b = _settling([m.as_speeds() if form == "speeds" else m for _, m in driven], first)
-    found = [(h.input, *settled) for h in long if (settled := _steady(h, b)) is not None]
-    levels = _levels(found)
-    if lacking := _lacking(levels):
-        return _cannot(form, lacking + note, steady=levels)
-    line, spread = gains(found)
+    long, b = _settled_holds([m.as_speeds() if form == "speeds" else m for _, m in driven], first)
+    found = [(h.input, *settled) for h in long if (settled := _steady_state(h, b)) is not None]
+    levels = _mean_levels(found)
+    if lacking := _missing_levels(levels):
+        return _no_estimate(form, lacking + note, steady=levels)
+    line, spread = steady_gains(found)
     if line[0] <= 0.0:
         says = "the steady speeds do not rise with the duty: something else moves the axis"
-        return _cannot(form, says + note, steady=levels)
+        return _no_estimate(form, says + note, steady=levels)
     q = 1.0 / float(line[0])
     moving = [h for h, _ in driven if abs(h.input) > 1.05 * q * (line[1] if h.input > 0.0 else line[2])]
-    starts = _meshes(moving, b, line)
+    starts = _mesh_times(moving, b, line)
     transients = [
         _transient(h, start, b, _steady_speed(h.input, line), form) for h, start in zip(moving, starts, strict=True)
     ]
-    pieces = tuple(_judge(t, h.since, b) for t, h in zip(transients, moving, strict=True))
+    pieces = tuple(_evaluate_piece(t, h.since, b) for t, h in zip(transients, moving, strict=True))
     used = [t for t, p in zip(transients, pieces, strict=True) if p.used]
     if not used:
         says = "no piece shows a transient from which b could be had: play a square wave with slower reversals"
-        return _cannot(form, says + note, pieces, levels)
-    combine = _averaged if form == "speeds" else _jointly
+        return _no_estimate(form, says + note, pieces, levels)
+    combine = _mean_rate if form == "speeds" else _joint_rate
     b, variance, slope = combine(used, [p.b for p in pieces if p.used])
     says = (
         f"{len(levels)} steady speeds and {len(used)} of {len(pieces)} pieces were used; "

@@ -21,7 +21,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from twin.control.cosimulation import Tracking
-from twin.diagnosis.residual_torque import Segment, Shape
+from twin.diagnosis.residual_torque import Segment, TorqueShape
 from twin.diagnosis.result import Diagnosis, Experiment, Trace
 from twin.estimation.two_stage import TwoStage
 from twin.report.style import AFTER, BEFORE, GRID, HELD, INK, MISFIT, MUTED, RECORDED
@@ -282,7 +282,7 @@ def _variable_unit(variable: str, axis_unit: str, input_unit: str) -> str:
     return units.get(variable, "")
 
 
-def _shape(axes: Axes, shape: Shape, color: str, marker: bool) -> None:
+def _shape(axes: Axes, shape: TorqueShape, color: str, marker: bool) -> None:
     band = 2.0 * shape.error
     if shape.variable == "direction":
         axes.errorbar(shape.centre, shape.mean, band, color=color, fmt="o", markersize=4, linewidth=1.2)
@@ -300,7 +300,7 @@ def shapes(diagnosis: Diagnosis) -> str:
     first = diagnosis.shapes_before
     unit, drive = diagnosis.after.axis_unit, diagnosis.after.input_unit
 
-    def fill(axes: Axes, shape: Shape, large: bool) -> None:
+    def fill(axes: Axes, shape: TorqueShape, large: bool) -> None:
         axes.axhline(0.0, color=MUTED, linewidth=0.6)
         for of_model, color in drawn:
             if shape.variable in of_model:
