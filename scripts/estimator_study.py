@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from excitations import EXCITATIONS, FREE
 from simulators import SIMULATORS
 
-from twin.estimation import likelihood, maximum_likelihood
+from twin.estimation import likelihood, maximum_likelihood, optimizer, prepared_recording
 from twin.estimation.preparation import base_structure, free_parameters
 from twin.estimation.two_stage import two_stage
 from twin.io.recording import Recording
@@ -86,8 +86,8 @@ def record(simulator: str, rig: Any, excitation: str, duration: float, rng: np.r
 def bounds(recording: Recording, truth: dict[str, float]) -> dict[str, float]:
     """Cramer-Rao bound of every parameter, all of them unknown, with the noise that the recording shows."""
     structure = base_structure()
-    cases, free = [likelihood.prepare_recording(recording, structure)], free_parameters(structure)
-    process_noise = likelihood.most_likely_process_noise(cases, structure, truth)
+    cases, free = [prepared_recording.prepare_recording(recording, structure)], free_parameters(structure)
+    process_noise = optimizer.most_likely_process_noise(cases, structure, truth)
     point = likelihood.evaluate(cases, structure, truth, process_noise, free)
     return dict(zip(free, np.sqrt(np.diag(point.covariance)).tolist(), strict=True))
 

@@ -50,7 +50,8 @@ from twin.diagnosis.experiment_design import (
 )
 from twin.diagnosis.result import Experiment
 from twin.estimation import likelihood, local_optima, multistart, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.io.recording import Recording
 
 Array = NDArray[np.float64]

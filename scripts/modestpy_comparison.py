@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.estimation import likelihood
+from twin.estimation import optimizer, prepared_recording
 from twin.fmi import native_fmu
 from twin.io.recording import Recording
 from twin.model.fitted_model import Model
@@ -66,12 +66,12 @@ def made(samples: int) -> Recording:
 
 def ours(recording: Recording) -> tuple[dict[str, float], float]:
     """Estimates and seconds, warm."""
-    case = likelihood.prepare_recording(recording, STRUCTURE)
+    case = prepared_recording.prepare_recording(recording, STRUCTURE)
     fits, seconds = [], []
     for _ in range(4):
         begun = time.process_time()
         fits.append(
-            likelihood.levenberg_marquardt([case], STRUCTURE, BEGIN, 0.0, tuple(TRUTH), rounds=100, tolerance=1e-9)
+            optimizer.levenberg_marquardt([case], STRUCTURE, BEGIN, 0.0, tuple(TRUTH), rounds=100, tolerance=1e-9)
         )
         seconds.append(time.process_time() - begun)
     return fits[-1].values, min(seconds[1:])

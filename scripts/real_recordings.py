@@ -27,7 +27,7 @@ from scipy.signal import lfilter
 from twin.diagnosis import diagnose, holdout
 from twin.diagnosis.result import Diagnosis
 from twin.estimation import estimate, maximum_likelihood
-from twin.estimation.likelihood import Fit
+from twin.estimation.fit import Fit
 from twin.io import recording
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure

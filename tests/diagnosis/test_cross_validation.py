@@ -12,8 +12,9 @@ from scipy.signal import lfilter
 from twin.diagnosis import cross_validation, nonparametric, thresholds
 from twin.diagnosis.nonparametric import CurveTerm
 from twin.effects.knots import KNOTS, through
-from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import filter_memory, likelihood, optimizer, preparation, prepared_recording
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -36,9 +37,9 @@ def recorded(hump: float, seconds: float = 20.0) -> Recording:
 
 
 def compared(recording: Recording) -> tuple[list[PreparedRecording], Fit, Fit]:
-    cases = [likelihood.prepare_recording(recording, PLAIN)]
-    process_noise = likelihood.process_noise_of(cases[0], 0.1)
-    plain = likelihood.levenberg_marquardt(cases, PLAIN, VALUES, process_noise, preparation.free_parameters(PLAIN))
+    cases = [prepared_recording.prepare_recording(recording, PLAIN)]
+    process_noise = filter_memory.process_noise_of(cases[0], 0.1)
+    plain = optimizer.levenberg_marquardt(cases, PLAIN, VALUES, process_noise, preparation.free_parameters(PLAIN))
     return cases, plain, nonparametric.fit_curve(cases, nonparametric.sketch_curve(cases, plain, CurveTerm("velocity")))
 
 

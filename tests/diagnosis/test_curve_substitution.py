@@ -13,8 +13,9 @@ from scipy.interpolate import interp1d
 from twin.diagnosis import curve_substitution, diagnose, thresholds
 from twin.effects.catalogue import CANDIDATES
 from twin.effects.knots import KNOTS, names, spots, through
-from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import likelihood, optimizer, preparation, prepared_recording
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -47,9 +48,9 @@ def recorded(truth: Structure, largest: float = 25.0, **values: float) -> Record
 
 def named(recording: Recording) -> tuple[list[PreparedRecording], Fit]:
     """Gravity and spring, fitted from where they cancel and from where they do not."""
-    cases = [likelihood.prepare_recording(recording, BOTH)]
+    cases = [prepared_recording.prepare_recording(recording, BOTH)]
     free = preparation.free_parameters(BOTH)
-    fits = [likelihood.fit_with_process_noise(cases, BOTH, VALUES | begin, free) for begin in (AGAINST, WITH)]
+    fits = [optimizer.fit_with_process_noise(cases, BOTH, VALUES | begin, free) for begin in (AGAINST, WITH)]
     return cases, min(fits, key=lambda p: p.deviance)
 
 
@@ -140,9 +141,9 @@ HUMP = {
 )
 def test_a_name_stays_unless_its_law_is_not_what_is_there(effect, truth, values, variable):
     one = STRUCTURE.with_(effect)
-    cases = [likelihood.prepare_recording(recorded(STRUCTURE.with_(truth), 25.0, **values), one)]
+    cases = [prepared_recording.prepare_recording(recorded(STRUCTURE.with_(truth), 25.0, **values), one)]
     begin = VALUES | {p.name: float(np.mean(SANE[p.name])) for p in one.parameters if p.name in SANE}
-    last = likelihood.fit_with_process_noise(
+    last = optimizer.fit_with_process_noise(
         cases, one, preparation.complete_values(one, begin | VALUES), preparation.free_parameters(one)
     )
     found = curve_substitution.best_substitution(cases, STRUCTURE, last)
@@ -161,8 +162,8 @@ def test_a_name_stays_unless_its_law_is_not_what_is_there(effect, truth, values,
 def test_a_curve_does_what_the_names_do_where_its_sketch_is_led_astray(monkeypatch, effect, values):
     """What the missing torque shows may be rattle; a spring and a drag are lines that twelve knots draw as they are."""
     one = STRUCTURE.with_(effect)
-    cases = [likelihood.prepare_recording(recorded(one, 25.0, **values), one)]
-    last = likelihood.fit_with_process_noise(
+    cases = [prepared_recording.prepare_recording(recorded(one, 25.0, **values), one)]
+    last = optimizer.fit_with_process_noise(
         cases, one, preparation.complete_values(one, VALUES | values), preparation.free_parameters(one)
     )
     honest = curve_substitution.nonparametric.sketch_curve
@@ -182,9 +183,9 @@ def test_a_curve_does_what_the_names_do_where_its_sketch_is_led_astray(monkeypat
 def test_a_curve_takes_no_name_s_place_unless_it_foretells(monkeypatch, chance, drawn):
     """Twelve knots follow what else the model lacks, too."""
     one = STRUCTURE.with_("spring")
-    cases = [likelihood.prepare_recording(recorded(STRUCTURE.with_("unknown_position"), 25.0, **CURVE), one)]
+    cases = [prepared_recording.prepare_recording(recorded(STRUCTURE.with_("unknown_position"), 25.0, **CURVE), one)]
     begin = preparation.complete_values(one, VALUES | {"spring_stiffness": 4.8})
-    last = likelihood.fit_with_process_noise(cases, one, begin, preparation.free_parameters(one))
+    last = optimizer.fit_with_process_noise(cases, one, begin, preparation.free_parameters(one))
     monkeypatch.setattr(curve_substitution.cross_validation, "gain_p_value", lambda cases, smaller, larger: chance)
     assert (curve_substitution.substitute_curve(cases, STRUCTURE, last, "position") is not None) is drawn
 
@@ -197,9 +198,11 @@ def test_a_law_may_miss_a_little_of_what_a_machine_does(monkeypatch, rough, draw
     """
     torque = -4.8 * (SPOTS + rough * np.sqrt(2.0) * SPOTS.std() * np.sin(4.0 * SPOTS))
     truth, one = STRUCTURE.with_("unknown_position"), STRUCTURE.with_("spring")
-    cases = [likelihood.prepare_recording(recorded(truth, 25.0, **through("unknown_position", SPOTS, torque)), one)]
+    cases = [
+        prepared_recording.prepare_recording(recorded(truth, 25.0, **through("unknown_position", SPOTS, torque)), one)
+    ]
     begin = preparation.complete_values(one, VALUES | {"spring_stiffness": 4.8})
-    last = likelihood.fit_with_process_noise(cases, one, begin, preparation.free_parameters(one))
+    last = optimizer.fit_with_process_noise(cases, one, begin, preparation.free_parameters(one))
     monkeypatch.setattr(curve_substitution.selection_round, "is_confirmed", lambda cases, before, after: True)
     assert (curve_substitution.substitute_curve(cases, STRUCTURE, last, "position") is not None) is drawn
 
@@ -208,9 +211,9 @@ def test_a_name_that_does_nothing_beside_the_curve_goes():
     """A fade made up for what the spring missed; beside the curve a friction that is there stays."""
     truth, both = STRUCTURE.with_("unknown_position", "coulomb_friction"), STRUCTURE.with_("spring", "coulomb_friction")
     more = both.with_("thermal_fade")
-    cases = [likelihood.prepare_recording(recorded(truth, 25.0, coulomb_friction=0.3, **CURVE), more)]
+    cases = [prepared_recording.prepare_recording(recorded(truth, 25.0, coulomb_friction=0.3, **CURVE), more)]
     begin = preparation.complete_values(more, VALUES | {"spring_stiffness": 3.0, "coulomb_friction": 0.3})
-    last = likelihood.fit_with_process_noise(cases, more, begin, preparation.free_parameters(more))
+    last = optimizer.fit_with_process_noise(cases, more, begin, preparation.free_parameters(more))
     found = curve_substitution.best_substitution(cases, STRUCTURE, last)
     assert found is not None and found.curve.structure == truth
 
@@ -244,9 +247,9 @@ def test_the_answer_is_a_curve_and_says_why(monkeypatch):
 )  # fmt: skip
 def test_friction_that_gives_takes_the_place_of_dry_friction(truth, values, first, bent):
     dry = STRUCTURE.with_("coulomb_friction")
-    cases = [likelihood.prepare_recording(recorded(STRUCTURE.with_(truth), 25.0, **values), dry)]
+    cases = [prepared_recording.prepare_recording(recorded(STRUCTURE.with_(truth), 25.0, **values), dry)]
     begin = preparation.complete_values(dry, VALUES | {"coulomb_friction": 0.5})
-    last = likelihood.fit_with_process_noise(cases, dry, begin, preparation.free_parameters(dry))
+    last = optimizer.fit_with_process_noise(cases, dry, begin, preparation.free_parameters(dry))
     found = curve_substitution.best_substitution(cases, first, last)
     assert (found is not None) is bent
     if found is not None:
@@ -265,9 +268,9 @@ def test_one_friction_that_gives_is_likelier_than_two_kinds_that_do_as_well(monk
     """Even if it shows no better than they do."""
     monkeypatch.setattr(curve_substitution.selection_round, "is_confirmed", lambda cases, before, after: False)
     dry = STRUCTURE.with_("coulomb_friction", "load_dependent_friction")
-    cases = [likelihood.prepare_recording(recorded(STRUCTURE.with_(*truth), 25.0, **values), dry)]
+    cases = [prepared_recording.prepare_recording(recorded(STRUCTURE.with_(*truth), 25.0, **values), dry)]
     begin = preparation.complete_values(dry, VALUES | {"coulomb_friction": 0.5, "load_friction": 0.1})
-    last = likelihood.fit_with_process_noise(cases, dry, begin, preparation.free_parameters(dry))
+    last = optimizer.fit_with_process_noise(cases, dry, begin, preparation.free_parameters(dry))
     found = curve_substitution.substitute_presliding(cases, STRUCTURE, last)
     assert (found is not None) is bent
     if found is not None:

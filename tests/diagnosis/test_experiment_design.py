@@ -13,8 +13,9 @@ from twin.diagnosis import experiment_design
 from twin.diagnosis.experiment_design import Limits, design_for_discrimination, design_for_precision, library
 from twin.effects import knots
 from twin.errors import BadInput
-from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import filter_memory, likelihood, optimizer, preparation, prepared_recording
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import BASE, Structure
 from twin.simulation import kernel
@@ -50,7 +51,8 @@ def played(
     step = float(time[1] - time[0])
     shaking = np.random.default_rng(seed).standard_normal(len(time)) * noise / np.sqrt(step) / VALUES["input_gain"]
     drive = replace(
-        likelihood.prepare_recording(blank, structure).drive, command=command + np.where(command != 0.0, shaking, 0.0)
+        prepared_recording.prepare_recording(blank, structure).drive,
+        command=command + np.where(command != 0.0, shaking, 0.0),
     )
     output = kernel.predict(drive, kernel.vector(structure, values), kernel.start_state(0.0, 0.0, 0.0)).reading
     return replace(blank, output=np.round(output / COUNT) * COUNT)
@@ -71,10 +73,10 @@ DENSITY = NOISE**2 / (COUNT**2 / 12.0)
 def fitted(recordings: list[Recording], *effects: str) -> tuple[Fit, list[PreparedRecording]]:
     """Maximum likelihood at the noise density that was planted, the best of a few starts: gap crossings are kinks."""
     structure = structure_of(*effects)
-    cases = [likelihood.prepare_recording(r, structure) for r in recordings]
+    cases = [prepared_recording.prepare_recording(r, structure) for r in recordings]
     free = preparation.free_parameters(structure)
     starts = [{**values_of(*effects), "backlash_gap": gap, "motor_share": m} for gap, m in STARTS]
-    points = [likelihood.levenberg_marquardt(cases, structure, v, DENSITY, free) for v in starts]
+    points = [optimizer.levenberg_marquardt(cases, structure, v, DENSITY, free) for v in starts]
     return min(points, key=lambda p: p.deviance), cases
 
 
@@ -85,7 +87,7 @@ def gains(pair: tuple[str, str], truth: int, seed: int) -> tuple[float, float]:
     """Log-likelihood that the truth gains with the designed input, and per as many seconds of the first one again."""
     first = played((pair[truth],), *steps(), seed=seed)
     rivals = [fitted([first], effect)[0] for effect in pair]
-    designed = design_for_discrimination(rivals, [likelihood.prepare_recording(first, rivals[0].structure)])
+    designed = design_for_discrimination(rivals, [prepared_recording.prepare_recording(first, rivals[0].structure)])
     assert len(designed.time)
 
     def gained(second: Recording) -> float:
@@ -145,7 +147,7 @@ def test_equal_models_are_not_told_apart():
 def lag_or_delay() -> tuple[list[Fit], list[PreparedRecording]]:
     first = played(("motor_lag",), *steps())
     rivals = [fitted([first], effect)[0] for effect in ("motor_lag", "input_delay")]
-    return rivals, [likelihood.prepare_recording(first, rivals[0].structure)]
+    return rivals, [prepared_recording.prepare_recording(first, rivals[0].structure)]
 
 
 def test_the_input_keeps_to_what_was_recorded(lag_or_delay):
@@ -193,7 +195,7 @@ def test_the_input_scales_with_its_unit(lag_or_delay):
 
     recording = replace(cases[0].recording, input=cases[0].recording.input * factor, input_unit="V")
     volts = design_for_discrimination(
-        [in_volts(r) for r in rivals], [likelihood.prepare_recording(recording, rivals[0].structure)]
+        [in_volts(r) for r in rivals], [prepared_recording.prepare_recording(recording, rivals[0].structure)]
     )
     duty = design_for_discrimination(rivals, cases)
     assert volts.why == duty.why
@@ -204,12 +206,12 @@ def test_a_missing_reversal_is_asked_for_and_does_what_was_promised():
     """Driven one way only, a rig does not show its gap; the designed input fixes it as well as it said."""
     first = played((), *steps(6.0, (20.0, 30.0, 0.0, 25.0)))
     structure = structure_of()
-    case = likelihood.prepare_recording(first, structure)
+    case = prepared_recording.prepare_recording(first, structure)
     free = preparation.free_parameters(structure)
     point = likelihood.evaluate([case], structure, VALUES, DENSITY, free)
     designed = design_for_precision(point, [case], Limits(input=40.0, travel=np.inf))
     assert len(designed.time) and designed.input.min() < -10.0
-    second = likelihood.prepare_recording(played((), designed.time, designed.input, seed=2), structure)
+    second = prepared_recording.prepare_recording(played((), designed.time, designed.input, seed=2), structure)
     after = likelihood.evaluate([case, second], structure, VALUES, DENSITY, free)
     sizes = np.array([VALUES[n] for n in free])
     relative = np.sqrt(np.diag(after.covariance)) / sizes
@@ -224,7 +226,7 @@ def test_a_knot_that_is_known_worst_says_where_it_lies():
     structure, name = structure_of("unknown_velocity"), "unknown_velocity_10"
     values = {**VALUES, **knots.through("unknown_velocity", at, 0.01 * np.abs(at) * at)}
     # At this duty the axis comes to some 4 rad/s: not near the tenth knot.
-    case = likelihood.prepare_recording(played((), *steps()), structure)
+    case = prepared_recording.prepare_recording(played((), *steps()), structure)
     point = likelihood.evaluate(
         [case], structure, values, DENSITY, (*preparation.free_parameters(structure_of()), name)
     )
@@ -244,7 +246,7 @@ def rested(point: Fit, case: PreparedRecording, signal: experiment_design.Signal
 def test_readings_count_for_less_where_the_motor_rattles_in_its_gap():
     """Noise and an unknown start grow from bounce to bounce; driven one way, the gears stay in mesh."""
     structure = structure_of().with_("tooth_compliance")
-    case = likelihood.prepare_recording(played((), *steps()), structure)
+    case = prepared_recording.prepare_recording(played((), *steps()), structure)
     values = {**VALUES, "tooth_frequency": 100.0, "tooth_damping": 0.15}
     point = likelihood.evaluate([case], structure, values, DENSITY, preparation.free_parameters(structure))
     steady = rested(point, case, ((4.0, 30.0, 30.0),))
@@ -256,7 +258,7 @@ def test_readings_count_for_less_where_the_motor_rattles_in_its_gap():
 def test_stiff_teeth_do_not_ring_up_in_the_design():
     """Twice the internal step of a fit had made teeth of 300 Hz unstable, and every block promised 1e50."""
     structure = structure_of().with_("tooth_compliance")
-    case = likelihood.prepare_recording(played((), *steps()), structure)
+    case = prepared_recording.prepare_recording(played((), *steps()), structure)
     values = {**VALUES, "tooth_frequency": 299.0, "tooth_damping": 0.46}
     point = likelihood.evaluate([case], structure, values, DENSITY, preparation.free_parameters(structure))
     designed = design_for_precision(point, [case])
@@ -272,9 +274,9 @@ def test_rigs_that_log_speed_get_an_experiment_too():
     time, command = steps()
     truth = played(("coulomb_friction",), time, command)
     speed = replace(truth, output=np.gradient(truth.output, time), output_unit="rad/s", resolution=0.0)
-    case = likelihood.prepare_recording(speed, structure)
+    case = prepared_recording.prepare_recording(speed, structure)
     free = preparation.free_parameters(structure)
-    process_noise = likelihood.process_noise_of(case, 0.1)
+    process_noise = filter_memory.process_noise_of(case, 0.1)
     point = likelihood.evaluate([case], structure, values_of("coulomb_friction"), process_noise, free)
     designed = design_for_discrimination([point], [case])
     assert len(designed.time) and "standard error" in designed.why
@@ -286,7 +288,7 @@ def test_what_leaves_no_room_is_refused(lag_or_delay):
         design_for_discrimination(rivals, cases, Limits(duration=-1.0))
     idle = replace(cases[0].recording, input=np.zeros(len(cases[0].recording.time)))
     with pytest.raises(BadInput, match="zero throughout"):
-        design_for_discrimination(rivals, [likelihood.prepare_recording(idle, rivals[0].structure)])
+        design_for_discrimination(rivals, [prepared_recording.prepare_recording(idle, rivals[0].structure)])
     with pytest.raises(BadInput, match="at least one"):
         design_for_discrimination([], cases)
 

@@ -11,8 +11,19 @@ from axis_runs import run, steps
 from twin.diagnosis import forward_selection, model_comparison, screening, selection_round, thresholds
 from twin.diagnosis.plausibility import is_plausible
 from twin.effects.catalogue import BASE, CANDIDATES
-from twin.estimation import contact_masking, likelihood, local_optima, maximum_likelihood, preparation
-from twin.estimation.likelihood import Fit
+from twin.estimation import (
+    contact_masking,
+    filter_memory,
+    fit,
+    likelihood,
+    local_optima,
+    maximum_likelihood,
+    optimizer,
+    parameter_bounds,
+    preparation,
+    prepared_recording,
+)
+from twin.estimation.fit import Fit
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 from twin.simulation import kernel
@@ -25,7 +36,7 @@ def test_candidates_that_a_linear_axis_has_not_are_not_tried() -> None:
     blank = Recording("sled", time, duty, np.zeros(3000), "%", "m", 1e-5)
     p = kernel.vector(structure, {"input_gain": 0.02, "viscous_friction": 2.0})
     read = kernel.predict(
-        likelihood.prepare_recording(blank, structure).drive, p, kernel.start_state(0.0, 0.0, 0.0)
+        prepared_recording.prepare_recording(blank, structure).drive, p, kernel.start_state(0.0, 0.0, 0.0)
     ).reading
     sled = Recording("sled", time, duty, 1e-5 * np.round(read / 1e-5), "%", "m", 1e-5)
     found = forward_selection.search([sled], structure, {}, ("gravity", "encoder_eccentricity"))
@@ -42,19 +53,19 @@ def test_an_elastic_joint_and_teeth_are_one_spring() -> None:
         assert (found["tooth_frequency"], found["tooth_damping"]) == (teeth, 0.2)
     known = {"tooth_frequency": 90.0, "tooth_damping": 0.1}
     assert preparation.complete_values(base, joint | known)["tooth_frequency"] == 90.0
-    _, hardest_joint = likelihood.bounds_of("joint_frequency")
-    softest_teeth, _ = likelihood.bounds_of("tooth_frequency")
+    _, hardest_joint = parameter_bounds.bounds_of("joint_frequency")
+    softest_teeth, _ = parameter_bounds.bounds_of("tooth_frequency")
     assert hardest_joint == softest_teeth
 
 
 def test_what_only_a_long_memory_prefers_does_not_show(monkeypatch) -> None:
     """A gain that a filter of a shorter memory takes back is that of bounces, not of physics."""
-    case = likelihood.prepare_recording(
+    case = prepared_recording.prepare_recording(
         Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
     )
     memory = 0.1
-    process_noise = likelihood.process_noise_of(case, memory)
-    point = likelihood.Fit(Structure.of(BASE), {}, process_noise, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    process_noise = filter_memory.process_noise_of(case, memory)
+    point = fit.Fit(Structure.of(BASE), {}, process_noise, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
     larger = replace(point, values={"gain": 1.0}, deviance=-10.0 * thresholds.MIN_GAIN)
 
     # A motor that rattles, and meetings of it that are all foreseen.
@@ -63,10 +74,10 @@ def test_what_only_a_long_memory_prefers_does_not_show(monkeypatch) -> None:
 
     def judged(better_until: float):
         def climb(cases, structure, values, process_noise, free, rounds, tolerance):
-            shorter = memory / likelihood.memory_of(case, process_noise)
+            shorter = memory / filter_memory.memory_of(case, process_noise)
             return replace(point, deviance=0.0 if not values else -1.0 if shorter < better_until else 1.0)
 
-        monkeypatch.setattr(likelihood, "levenberg_marquardt", climb)
+        monkeypatch.setattr(optimizer, "levenberg_marquardt", climb)
         return selection_round.is_confirmed([case], point, larger)
 
     assert judged(8.0)
@@ -75,11 +86,11 @@ def test_what_only_a_long_memory_prefers_does_not_show(monkeypatch) -> None:
 
 def test_a_slow_torque_has_to_do_no_more_than_a_shorter_memory_leaves_of_it(monkeypatch) -> None:
     """Where a filter finds innovations white, a sixteenth of what one of twice its memory gave is all that is left."""
-    case = likelihood.prepare_recording(
+    case = prepared_recording.prepare_recording(
         Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
     )
-    process_noise = likelihood.process_noise_of(case, 0.1)
-    point = likelihood.Fit(Structure.of(BASE), {}, process_noise, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    process_noise = filter_memory.process_noise_of(case, 0.1)
+    point = fit.Fit(Structure.of(BASE), {}, process_noise, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
     gain = 10.0 * thresholds.MIN_GAIN
     larger = replace(point, values={"gain": 1.0}, deviance=-gain)
     monkeypatch.setattr(
@@ -91,11 +102,11 @@ def test_a_slow_torque_has_to_do_no_more_than_a_shorter_memory_leaves_of_it(monk
     for left, shown in ((gain / 15.0, True), (gain / 17.0, False)):
 
         def climb(cases, structure, values, process_noise, free, rounds, tolerance, left=left):
-            shortest = likelihood.memory_of(case, process_noise) < 0.03
+            shortest = filter_memory.memory_of(case, process_noise) < 0.03
             better = 1.0 if shortest else -left
             return replace(point, process_noise=process_noise, deviance=better if values else 0.0)
 
-        monkeypatch.setattr(likelihood, "levenberg_marquardt", climb)
+        monkeypatch.setattr(optimizer, "levenberg_marquardt", climb)
         assert left < thresholds.MIN_GAIN
         assert selection_round.is_confirmed([case], point, larger) is shown
 
@@ -116,15 +127,15 @@ def test_a_filter_that_can_know_too_little_vetoes_nothing_that_was_sure(monkeypa
     """A sixteenth of 40 is less than a parameter's price, and as likely as not to look like nothing; one of 64 is not,
     and 20 was not sure at twice the memory.
     """
-    case = likelihood.prepare_recording(
+    case = prepared_recording.prepare_recording(
         Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
     )
-    process_noise = likelihood.process_noise_of(case, 0.1)
-    point = likelihood.Fit(Structure.of(BASE), {}, process_noise, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    process_noise = filter_memory.process_noise_of(case, 0.1)
+    point = fit.Fit(Structure.of(BASE), {}, process_noise, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
     larger = replace(point, values={"gain": 1.0}, free=("gain",), deviance=-16.0 * before)
 
     def short(at: float) -> bool:
-        return likelihood.memory_of(case, at) < 0.03
+        return filter_memory.memory_of(case, at) < 0.03
 
     def climb(cases, structure, values, process_noise, free, rounds, tolerance):
         gained = left if short(process_noise) else before
@@ -136,18 +147,18 @@ def test_a_filter_that_can_know_too_little_vetoes_nothing_that_was_sure(monkeypa
         lambda points: 1.0 if short(points[0].process_noise) else thresholds.WHITE_OVERDISPERSION,
     )
     monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: cases)
-    monkeypatch.setattr(likelihood, "levenberg_marquardt", climb)
+    monkeypatch.setattr(optimizer, "levenberg_marquardt", climb)
     assert selection_round.is_confirmed([case], point, larger) is shown
 
 
 @pytest.mark.parametrize(("left", "shown"), [(-1.0, False), (2.0, False), (5.0, True)])
 def test_a_curve_pays_for_its_knots_once(monkeypatch, left, shown) -> None:
     """A shorter memory, to which a slow torque is a sixteenth, is asked whether it is there, not for twelve prices."""
-    case = likelihood.prepare_recording(
+    case = prepared_recording.prepare_recording(
         Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
     )
-    process_noise = likelihood.process_noise_of(case, 0.1)
-    point = likelihood.Fit(Structure.of(BASE), {}, process_noise, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
+    process_noise = filter_memory.process_noise_of(case, 0.1)
+    point = fit.Fit(Structure.of(BASE), {}, process_noise, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
     knots = tuple(f"knot_{i}" for i in range(12))
     larger = replace(point, values={"gain": 1.0}, free=knots, deviance=-10.0 * thresholds.MIN_GAIN)
     monkeypatch.setattr(
@@ -162,7 +173,7 @@ def test_a_curve_pays_for_its_knots_once(monkeypatch, left, shown) -> None:
     def climb(cases, structure, values, process_noise, free, rounds, tolerance):
         return replace(larger if values else point, process_noise=process_noise, deviance=-left if values else 0.0)
 
-    monkeypatch.setattr(likelihood, "levenberg_marquardt", climb)
+    monkeypatch.setattr(optimizer, "levenberg_marquardt", climb)
     assert selection_round.is_confirmed([case], point, larger) is shown
 
 
@@ -170,9 +181,9 @@ def test_what_a_rough_likelihood_gives_anywhere_is_no_gain(monkeypatch) -> None:
     """A gain counts for what it is above the changes that next to nothing makes."""
     structure = Structure.of(["inertia", "viscous_friction", "backlash"])
     blank = Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4)
-    case = likelihood.prepare_recording(blank, structure)
-    process_noise = likelihood.process_noise_of(case, thresholds.SHORTEST_MEMORY)
-    before = likelihood.Fit(
+    case = prepared_recording.prepare_recording(blank, structure)
+    process_noise = filter_memory.process_noise_of(case, thresholds.SHORTEST_MEMORY)
+    before = fit.Fit(
         structure, {"backlash_gap": 0.02}, process_noise, ("backlash_gap",), 0.0, 1.0, np.eye(1), np.zeros(1), np.eye(1)
     )
     after = replace(before, values={"backlash_gap": 0.03}, deviance=-3.0 * thresholds.MIN_GAIN)
@@ -199,7 +210,7 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
         ("joint_elasticity", "motor_share", 0.3, 0.02),
         ("joint_elasticity", "motor_share", 0.9, 0.98),
         ("joint_elasticity", "joint_damping", 0.45, 0.6),
-        ("stribeck_friction", "stribeck_velocity", 0.2, likelihood.bounds_of("stribeck_velocity")[0]),
+        ("stribeck_friction", "stribeck_velocity", 0.2, parameter_bounds.bounds_of("stribeck_velocity")[0]),
         ("stribeck_friction", "stribeck_velocity", 2e-3, 5e-4),  # two counts, and half of one, in a tenth of a second
         ("motor_lag", "lag_time", 0.0012, 0.0008),  # more and less than half the time between two readings
         ("input_delay", "delay", 0.0012, 0.0008),
@@ -210,7 +221,7 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
         ("thermal_fade", "fade", 0.2, -0.2),
     ):
         structure = Structure.of([*BASE, effect])
-        cases = [likelihood.prepare_recording(turning, structure)]
+        cases = [prepared_recording.prepare_recording(turning, structure)]
         values = preparation.complete_values(structure, {"disturbance": 0.01, "fade": 0.1})
         for value, right in ((kept, True), (bent, False)):
             point = likelihood.evaluate(cases, structure, {**values, name: value}, 1.0)
@@ -222,7 +233,7 @@ def test_friction_that_falls_within_a_count_is_what_bristles_do(speed: float, ri
     time = 0.002 * np.arange(5000)
     turning = Recording("turning", time, np.full(5000, 30.0), 3.0 * np.sin(time), "%", "rad", 3.1e-4)
     structure = Structure.of([*BASE, "stribeck_friction"])
-    cases = [likelihood.prepare_recording(turning, structure)]
+    cases = [prepared_recording.prepare_recording(turning, structure)]
     friction = {"coulomb_friction": 0.2, "stribeck_friction": 2.3, "stribeck_velocity": speed}
     values = preparation.complete_values(structure, friction)
     assert is_plausible(cases, likelihood.evaluate(cases, structure, values, 1.0)) is right
@@ -232,7 +243,7 @@ def test_what_a_first_model_has_and_the_rig_has_not_speaks_against_nothing_that_
     time = 0.002 * np.arange(5000)
     turning = Recording("turning", time, np.full(5000, 30.0), 3.0 * np.sin(time), "%", "rad", 1e-4)
     first = Structure.of([*BASE, "input_delay"])
-    cases = [likelihood.prepare_recording(turning, first)]
+    cases = [prepared_recording.prepare_recording(turning, first)]
 
     def at(structure: Structure, **values: float) -> Fit:
         return likelihood.evaluate(
@@ -258,8 +269,8 @@ def test_a_spring_that_is_bent_into_a_constant_is_no_rival_to_one() -> None:
         there = plain.with_("constant_offset" if "offset" in planted else "spring")
         y, _ = run(there, values | planted, time, shaken)
         recording = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
-        cases = [likelihood.prepare_recording(recording, plain)]
-        before = local_optima.refit(cases, plain, values, {}, likelihood.process_noise_of(cases[0], 0.1))
+        cases = [prepared_recording.prepare_recording(recording, plain)]
+        before = local_optima.refit(cases, plain, values, {}, filter_memory.process_noise_of(cases[0], 0.1))
         found = selection_round.run_round(cases, before, [], ("constant_offset", "spring"), {})
         assert found.won and found.rivals[0].added == there.named[-1:]
         assert (("spring",) in [h.added for h in found.rivals]) is ("offset" not in planted)
@@ -269,7 +280,7 @@ def test_where_a_recording_begins_is_no_stop() -> None:
     time = 0.002 * np.arange(2500)
     rising = Recording("rising", time, np.full(2500, 30.0), 3.0 * (1.0 - np.cos(time)), "%", "rad", 1e-4)
     structure = Structure.of([*BASE, "end_stop"])
-    cases = [likelihood.prepare_recording(rising, structure)]
+    cases = [prepared_recording.prepare_recording(rising, structure)]
     values = preparation.complete_values(structure, {})
     for name, value, right in (
         ("stop_upper", 5.99, True), ("stop_lower", 0.001, False), ("stop_lower", -1.0, True), ("stop_upper", 7.0, True),
@@ -294,9 +305,9 @@ def test_a_stop_that_nothing_met_is_nowhere(lower: float) -> None:
     duty = steps(rng, len(time), 400, 25.0)
     y, _ = run(stopped, values, time, duty + 0.05 * rng.standard_normal(len(time)))
     made = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
-    cases = [likelihood.prepare_recording(made, stopped)]
+    cases = [prepared_recording.prepare_recording(made, stopped)]
     begun = {**values, "stop_lower": max(lower, float(y.min()) + count)}
-    last = local_optima.refit(cases, stopped, begun, {}, likelihood.process_noise_of(cases[0], 0.1))
+    last = local_optima.refit(cases, stopped, begun, {}, filter_memory.process_noise_of(cases[0], 0.1))
     found = forward_selection._without_unmet_stops(cases, last)
     assert y.max() > 0.3 and (lower == -1e3 or y.min() < lower)
     assert found.values["stop_upper"] == pytest.approx(0.3, abs=2e-3)
@@ -308,7 +319,7 @@ def test_friction_that_acts_only_where_the_way_ends_is_a_stop() -> None:
     time = 0.002 * np.arange(2500)
     rising = Recording("rising", time, np.full(2500, 30.0), 1.5 * (1.0 - np.cos(time)), "%", "rad", 1e-4)
     structure = Structure.of([*BASE, "position_dependent_friction"])
-    cases = [likelihood.prepare_recording(rising, structure)]
+    cases = [prepared_recording.prepare_recording(rising, structure)]
     values = {**preparation.complete_values(structure, {}), "coulomb_friction": 0.0, "friction_variation": 2.0}
     for angle, coulomb, right in ((0.0, 0.0, True), (-3.1, 0.0, False), (-3.1, 1.9, True)):
         tried = {**values, "friction_angle": angle, "coulomb_friction": coulomb}
@@ -326,12 +337,12 @@ def test_a_weak_torque_shows_although_a_filter_that_forgets_fast_does_not_see_it
     shaken = duty + 0.01 * rng.standard_normal(len(time))
     y, _ = run(plain.with_("spring"), values | weak, time, shaken)
     recording = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
-    cases = [likelihood.prepare_recording(recording, plain)]
-    process_noise = likelihood.process_noise_of(cases[0], 0.1)
+    cases = [prepared_recording.prepare_recording(recording, plain)]
+    process_noise = filter_memory.process_noise_of(cases[0], 0.1)
     before = local_optima.refit(cases, plain, values, {}, process_noise)
     after = local_optima.refit(cases, plain.with_("spring"), {**before.values, **weak}, {}, process_noise)
     assert model_comparison.overdispersion([before, after]) < thresholds.WHITE_OVERDISPERSION
-    smaller, larger = selection_round._refit_both(cases, before, after, likelihood.process_noise_of(cases[0], 0.025))
+    smaller, larger = selection_round._refit_both(cases, before, after, filter_memory.process_noise_of(cases[0], 0.025))
     assert not model_comparison.criterion_difference(larger, smaller) > 0.0
     assert selection_round.is_confirmed(cases, before, after)
 
@@ -340,11 +351,11 @@ def test_a_model_learns_nothing_from_one_that_is_no_longer_what_its_names_say() 
     """A load that changed before the recording is another gain, and leaves no number its own size."""
     recording = Recording("made", 0.002 * np.arange(5000), np.zeros(5000), np.zeros(5000), "%", "rad", 1e-3)
     structure, nothing = Structure.of(BASE).with_("load_change"), np.eye(0)
-    cases = [likelihood.prepare_recording(recording, structure)]
+    cases = [prepared_recording.prepare_recording(recording, structure)]
 
-    def at(moment: float, deviance: float) -> likelihood.Fit:
+    def at(moment: float, deviance: float) -> fit.Fit:
         values = preparation.complete_values(structure, {"load_time": moment, "load_added": 0.5})
-        return likelihood.Fit(structure, values, 1.0, (), deviance, 1.0, nothing, np.zeros(0), nothing)
+        return fit.Fit(structure, values, 1.0, (), deviance, 1.0, nothing, np.zeros(0), nothing)
 
     here, bent, learned = at(5.0, 0.0), at(-3.0, -900.0), at(6.0, -20.0)
     assert selection_round._better_plausible(cases, here, [bent, learned]) is learned
@@ -365,7 +376,7 @@ def test_what_the_first_model_has_stays_where_what_contains_it_goes() -> None:
 def test_what_a_law_misses_of_its_own_effect_is_no_other_effect() -> None:
     """Beside an effect that does much, another has to do more than one that is there alone."""
     nothing = np.eye(0)
-    begun = likelihood.Fit(Structure.of(BASE), {}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing)
+    begun = fit.Fit(Structure.of(BASE), {}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing)
     for much, needed in ((-100.0 * thresholds.MIN_GAIN, 1.5), (-800.0 * thresholds.MIN_GAIN, 3.5)):
         less = replace(begun, deviance=much)
         enough, scant = (
@@ -378,14 +389,14 @@ def test_what_a_law_misses_of_its_own_effect_is_no_other_effect() -> None:
 def test_a_larger_model_is_never_behind_the_smaller_one_that_it_contains(monkeypatch) -> None:
     """Where what is added does harm to the other filter, it is looked for from nothing, too."""
     base, nothing = Structure.of(BASE), np.eye(0)
-    before = likelihood.Fit(base, {"input_gain": 0.3}, 1.0, (), 0.0, 1.0, nothing, [], nothing)
+    before = fit.Fit(base, {"input_gain": 0.3}, 1.0, (), 0.0, 1.0, nothing, [], nothing)
     after = replace(before, structure=base.with_("gravity"), values={"input_gain": 0.4, "gravity_gain": 2.0})
 
     def climbed(cases, structure, values, process_noise, free, rounds, tolerance):
         deviance = 100.0 * abs(values["input_gain"] - 0.3) + values.get("gravity_gain", 0.0)
         return replace(before, structure=structure, values=values, deviance=deviance)
 
-    monkeypatch.setattr(likelihood, "levenberg_marquardt", climbed)
+    monkeypatch.setattr(optimizer, "levenberg_marquardt", climbed)
     smaller, larger = selection_round._refit_both((), before, after, 1.0)
     assert larger.structure == after.structure
     assert larger.deviance == smaller.deviance == 0.0
@@ -394,7 +405,7 @@ def test_a_larger_model_is_never_behind_the_smaller_one_that_it_contains(monkeyp
 def test_a_rival_stands_where_another_does_with_its_own_effect(monkeypatch) -> None:
     """What both share is taken over; what each has alone is its own, and nothing of the other's comes along."""
     base, nothing = Structure.of(BASE), np.eye(0)
-    plain = likelihood.Fit(base, {"input_gain": 0.3, "backlash_gap": 0.02}, 1.0, (), 0.0, 1.0, nothing, [], nothing)
+    plain = fit.Fit(base, {"input_gain": 0.3, "backlash_gap": 0.02}, 1.0, (), 0.0, 1.0, nothing, [], nothing)
     one = replace(plain, structure=base.with_("motor_lag"), values={**plain.values, "lag_time": 0.01})
     other = replace(plain, structure=base.with_("input_delay"), values={"input_gain": 0.4, "delay": 0.02})
 
@@ -425,11 +436,11 @@ def test_dry_friction_may_be_one_sided_where_nothing_ever_coasts(coasting: bool)
     duty = np.where(time % 0.7 < 0.35, pushed, 0.0) if coasting else pushed
     y, _ = run(plain, values, time, duty + 0.05 * rng.standard_normal(len(time)) * (duty != 0.0))
     cases = [
-        likelihood.prepare_recording(
+        prepared_recording.prepare_recording(
             Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain
         )
     ]
-    last = local_optima.refit(cases, plain, values, {}, likelihood.process_noise_of(cases[0], 0.05))
+    last = local_optima.refit(cases, plain, values, {}, filter_memory.process_noise_of(cases[0], 0.05))
     first = plain.without("coulomb_friction")
     wider = forward_selection._containing_alternatives(cases, last, first, CANDIDATES, {})
     rivals = {w.rival: w for w in wider}
@@ -457,11 +468,11 @@ def test_what_did_more_than_the_effect_that_it_contains_is_tried_at_its_own_size
     duty = np.where(time % 0.7 < 0.35, np.where(time // 0.7 % 2.0 < 1.0, 30.0, -30.0), 0.0)
     y, _ = run(longer, values, time, duty + 0.05 * rng.standard_normal(len(time)) * (duty != 0.0))
     cases = [
-        likelihood.prepare_recording(
+        prepared_recording.prepare_recording(
             Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), longer
         )
     ]
-    process_noise = likelihood.process_noise_of(cases[0], 0.05)
+    process_noise = filter_memory.process_noise_of(cases[0], 0.05)
     first, without, more = (
         local_optima.refit(cases, s, values, {}, process_noise)
         for s in (plain.without("coulomb_friction"), plain, longer)
@@ -490,9 +501,7 @@ def test_what_did_more_than_the_effect_that_it_contains_is_tried_at_its_own_size
 
 def test_what_could_stand_for_an_effect_goes_with_it_where_a_larger_one_takes_its_place(monkeypatch) -> None:
     base, nothing = Structure.of(BASE), np.eye(0)
-    last = likelihood.Fit(
-        base.with_("coulomb_friction", "gravity"), {}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing
-    )
+    last = fit.Fit(base.with_("coulomb_friction", "gravity"), {}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing)
     larger = replace(last, structure=last.structure.with_("friction_asymmetry"), deviance=-20.0)
     monkeypatch.setattr(local_optima, "refit", lambda cases, structure, values, held, process_noise: larger)
     swaps = [
@@ -509,7 +518,7 @@ def test_what_could_stand_for_an_effect_goes_with_it_where_a_larger_one_takes_it
 def test_what_did_not_last_is_followed_by_another_look(monkeypatch) -> None:
     """The first round's winner may have kept out what is there: once it is pruned, the others are asked again."""
     nothing = np.eye(0)
-    base = likelihood.Fit(Structure.of(BASE), {}, 1.0, (), 3000.0, 1.0, nothing, np.zeros(0), nothing)
+    base = fit.Fit(Structure.of(BASE), {}, 1.0, (), 3000.0, 1.0, nothing, np.zeros(0), nothing)
     wave, push = (replace(base, structure=base.structure.with_(e)) for e in ("gravity", "constant_offset"))
     grown, asked = iter([wave, push]), []
 
@@ -542,11 +551,11 @@ def test_a_delay_is_judged_where_a_few_steps_from_its_start_lead() -> None:
     duty = steps(rng, len(time), 150, 40.0)
     y, _ = run(plain.with_("input_delay"), values | {"delay": 0.001}, time, duty)
     cases = [
-        likelihood.prepare_recording(
+        prepared_recording.prepare_recording(
             Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain
         )
     ]
-    base = local_optima.refit(cases, plain, values, {}, likelihood.process_noise_of(cases[0], 0.1))
+    base = local_optima.refit(cases, plain, values, {}, filter_memory.process_noise_of(cases[0], 0.1))
     trials = [{"delay": t} for t in (0.006, 0.015)]
     longer = plain.with_("input_delay")
     begun = min(likelihood.evaluate(cases, longer, {**base.values, **t}, base.process_noise).deviance for t in trials)
@@ -557,12 +566,10 @@ def test_a_delay_is_judged_where_a_few_steps_from_its_start_lead() -> None:
     assert promise > 0.9 * (base.deviance - local_optima.refit(cases, longer, found, {}, base.process_noise).deviance)
 
 
-def fitted(deviance: float, *effects: str, unit: float = 1.0) -> likelihood.Fit:
+def fitted(deviance: float, *effects: str, unit: float = 1.0) -> fit.Fit:
     """A point that nothing was fitted for; a unit of its deviance is worth so little."""
     structure, normal, scatter = Structure.of([*BASE, *effects]), np.eye(1), np.eye(1) * unit
-    return likelihood.Fit(
-        structure, {"input_gain": 0.3}, 1.0, ("input_gain",), deviance, 1.0, normal, np.zeros(1), scatter
-    )
+    return fit.Fit(structure, {"input_gain": 0.3}, 1.0, ("input_gain",), deviance, 1.0, normal, np.zeros(1), scatter)
 
 
 def hypothesis(deviance: float, *effects: str, unit: float = 1.0) -> selection_round.Hypothesis:
@@ -660,9 +667,9 @@ def test_the_end_that_lost_by_one_effect_could_stand_in_its_place(deviance: floa
 
 def test_a_lost_round_is_looked_at_with_a_filter_that_remembers_longer_than_the_model_is_right(monkeypatch) -> None:
     recording = Recording("none", 0.002 * np.arange(500), np.zeros(500), np.zeros(500), "%", "rad", 1e-4)
-    cases = [likelihood.prepare_recording(recording, Structure.of(BASE))]
+    cases = [prepared_recording.prepare_recording(recording, Structure.of(BASE))]
     short, long = (
-        likelihood.process_noise_of(cases[0], memory) for memory in (local_optima.MIN_MEMORY, thresholds.LONG_MEMORY)
+        filter_memory.process_noise_of(cases[0], memory) for memory in (local_optima.MIN_MEMORY, thresholds.LONG_MEMORY)
     )
     before, asked = replace(fitted(0.0), process_noise=short), {"density": 4.0 * short}
     lost = selection_round.Round(before, (hypothesis(-10.0, "spring"),), 1.0, False)
@@ -678,7 +685,7 @@ def test_a_lost_round_is_looked_at_with_a_filter_that_remembers_longer_than_the_
 
     monkeypatch.setattr(local_optima, "refit", lambda *given: replace(before, process_noise=given[-1]))
     monkeypatch.setattr(
-        likelihood, "most_likely_process_noise", lambda cases, structure, values, around: asked["density"]
+        optimizer, "most_likely_process_noise", lambda cases, structure, values, around: asked["density"]
     )
     monkeypatch.setattr(selection_round, "screen_candidates", contest)
     monkeypatch.setattr(selection_round, "run_round", compete)
@@ -740,18 +747,18 @@ def test_a_slow_torque_is_found_beside_a_fast_one_that_nobody_looks_for(monkeypa
     duty = steps(rng, len(time), 300, 40.0)
     y, _ = run(plain.with_("spring", "periodic_disturbance"), values | there, time, duty)
     cases = [
-        likelihood.prepare_recording(
+        prepared_recording.prepare_recording(
             Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain
         )
     ]
     before = local_optima.refit(
-        cases, plain, values, {}, likelihood.process_noise_of(cases[0], local_optima.MIN_MEMORY)
+        cases, plain, values, {}, filter_memory.process_noise_of(cases[0], local_optima.MIN_MEMORY)
     )
     candidates = ("spring", "thermal_fade")
     lost = selection_round.run_round(cases, before, (), candidates, {})
     assert not lost.won
     # As if something faster still kept the filter that a recording asks for short.
-    monkeypatch.setattr(likelihood, "most_likely_process_noise", lambda cases, structure, values, around: 2.0 * around)
+    monkeypatch.setattr(optimizer, "most_likely_process_noise", lambda cases, structure, values, around: 2.0 * around)
     found = selection_round.retry_with_long_memory(cases, lost, candidates, {})
     if stiffness == 0.0:
         assert found is lost
@@ -766,7 +773,7 @@ def test_no_more_effects_than_that_are_looked_for(monkeypatch, alone: int, late:
     names = ("spring", "motor_lag", "gravity", "input_delay", "supply_sag", "thermal_fade")
     points = [fitted(-100.0 * n, *names[:n]) for n in range(len(names) + 1)]
 
-    def following(before: likelihood.Fit, won: bool) -> selection_round.Round:
+    def following(before: fit.Fit, won: bool) -> selection_round.Round:
         n = len(before.structure.named)
         return selection_round.Round(before, (selection_round.Hypothesis((names[n],), points[n + 1]),), 1.0, won)
 
@@ -799,12 +806,12 @@ def test_of_two_effects_that_hide_each_other_one_is_taken_on_credit(friction: fl
     full = plain.with_("gravity", "coulomb_friction", "periodic_disturbance")
     y, _ = run(full, values | there | shaken, time, duty)
     cases = [
-        likelihood.prepare_recording(
+        prepared_recording.prepare_recording(
             Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain
         )
     ]
     before = local_optima.refit(
-        cases, plain, values, {}, likelihood.process_noise_of(cases[0], local_optima.MIN_MEMORY)
+        cases, plain, values, {}, filter_memory.process_noise_of(cases[0], local_optima.MIN_MEMORY)
     )
     gravity = selection_round.screen_candidates(cases, before, ["gravity"])[0]
     assert not model_comparison.is_significant(before, gravity.point)
@@ -870,11 +877,11 @@ def test_a_lag_is_tried_on_the_other_side_of_the_dead_band(behind: float) -> Non
     duty = steps(np.random.default_rng(5), len(time), 100, 30.0)
     y, _ = run(full, values | there, time, duty)
     cases = [
-        likelihood.prepare_recording(
+        prepared_recording.prepare_recording(
             Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain
         )
     ]
-    process_noise = likelihood.process_noise_of(cases[0], local_optima.MIN_MEMORY)
+    process_noise = filter_memory.process_noise_of(cases[0], local_optima.MIN_MEMORY)
     before = local_optima.refit(cases, plain, values, {}, process_noise)
     for side in (0.0, 1.0):
         begun = local_optima.refit(cases, full, values | there | {"lag_dead_band": side}, {}, process_noise)

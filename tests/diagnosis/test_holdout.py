@@ -12,7 +12,9 @@ from axis_runs import run, steps
 from twin.diagnosis import diagnose, holdout, nonparametric
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
-from twin.estimation import likelihood, maximum_likelihood, preparation
+from twin.estimation import maximum_likelihood, optimizer, preparation
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.fmi import python_fmu
 from twin.io.recording import Recording, load
 from twin.model.fitted_model import Model
@@ -38,10 +40,10 @@ def made(supply: float = 0.0, load: float = 0.0) -> Recording:
 
 def fitted(
     recording: Recording,
-) -> tuple[list[likelihood.PreparedRecording], likelihood.Fit, list[holdout.HoldoutPart]]:
+) -> tuple[list[PreparedRecording], Fit, list[holdout.HoldoutPart]]:
     train, held_out = holdout.split([recording])
     cases = preparation.prepare_recordings(train, STRUCTURE)
-    return cases, likelihood.fit_with_process_noise(cases, STRUCTURE, VALUES, tuple(VALUES)), held_out
+    return cases, optimizer.fit_with_process_noise(cases, STRUCTURE, VALUES, tuple(VALUES)), held_out
 
 
 @pytest.mark.parametrize("supply", [0.0, 0.1])
@@ -136,7 +138,7 @@ def test_a_battery_that_runs_down_is_no_other_axis(tmp_path: Path) -> None:
     full, low = (on_battery(v, tmp_path, i) for i, v in enumerate((12.6, 10.8)))
     both, _ = load([full, low])
     cases = preparation.prepare_recordings(both, STRUCTURE)
-    point = likelihood.fit_with_process_noise(cases, STRUCTURE, VALUES, tuple(VALUES))
+    point = optimizer.fit_with_process_noise(cases, STRUCTURE, VALUES, tuple(VALUES))
     assert point.values["input_gain"] == pytest.approx(VALUES["input_gain"], rel=1e-3)
     model = maximum_likelihood.to_model(cases, point, both, {})
     fmu = python_fmu.export(model, tmp_path / "axis.fmu")

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from twin.diagnosis import model_comparison, thresholds
 from twin.effects.catalogue import BASE
-from twin.estimation.likelihood import Fit
+from twin.estimation.fit import Fit
 from twin.model.stepper import Structure
 
 

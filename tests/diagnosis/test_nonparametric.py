@@ -24,8 +24,19 @@ from twin.diagnosis.nonparametric import CurveTerm
 from twin.diagnosis.plausibility import is_plausible
 from twin.effects.catalogue import CANDIDATES, UNKNOWN
 from twin.effects.knots import KNOTS, held, line, names, spots, through
-from twin.estimation import contact_masking, likelihood, local_optima, maximum_likelihood, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import (
+    contact_masking,
+    filter_memory,
+    likelihood,
+    local_optima,
+    maximum_likelihood,
+    optimizer,
+    parameter_bounds,
+    preparation,
+    prepared_recording,
+)
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -48,13 +59,13 @@ def recorded(seed: int, missing: tuple[str, ...] = (), noise: float = 0.3, **val
         name="made", time=time, input=command, output=np.round(y / COUNT) * COUNT, input_unit="%", output_unit="rad",
         resolution=COUNT,
     )  # fmt: skip
-    return likelihood.prepare_recording(recording, STRUCTURE)
+    return prepared_recording.prepare_recording(recording, STRUCTURE)
 
 
 @cache
 def fitted(case_key: str) -> tuple[PreparedRecording, Fit]:
     case = CASES[case_key]()
-    return case, likelihood.fit_with_process_noise([case], STRUCTURE, VALUES, FREE)
+    return case, optimizer.fit_with_process_noise([case], STRUCTURE, VALUES, FREE)
 
 
 def with_curve(cases: list[PreparedRecording], base: Fit, term: CurveTerm) -> Fit:
@@ -66,7 +77,7 @@ def with_name(case: PreparedRecording, base: Fit, *names: str) -> Fit:
     """The base and effects, fitted together."""
     structure = STRUCTURE.with_(*names)
     mine, free = preparation.with_internal_step([case], structure), preparation.free_parameters(structure)
-    return likelihood.levenberg_marquardt(
+    return optimizer.levenberg_marquardt(
         mine, structure, preparation.complete_values(structure, base.values), base.process_noise, free
     )
 
@@ -281,7 +292,7 @@ def test_what_a_filter_learns_after_a_silence_is_no_missing_torque():
 def test_no_curve_over_angles_that_nobody_knows(monkeypatch, unit: str, count: int, angles: bool) -> None:
     """Each of several recordings of speed begins at its own."""
     case, point = fitted("nothing")
-    case = likelihood.prepare_recording(replace(case.recording, output_unit=unit), STRUCTURE)
+    case = prepared_recording.prepare_recording(replace(case.recording, output_unit=unit), STRUCTURE)
     asked: list[CurveTerm] = []
     monkeypatch.setattr(nonparametric, "candidate_terms", lambda one: [CurveTerm("angle", 3.0), CurveTerm("velocity")])
     monkeypatch.setattr(nonparametric, "sketch_curve", lambda cases, base, term: asked.append(term) or base)
@@ -510,9 +521,9 @@ def test_a_name_that_a_longer_memory_makes_nothing_of_is_not_given(key, kept):
 def test_what_lasts_is_asked_of_a_filter_that_forgets_no_faster_than_the_one_that_chose(monkeypatch):
     """Meetings that nobody foresees, passed over, must not make it forget the slow torques that a name stands for."""
     case, first = fitted("hump")
-    long = replace(first, process_noise=likelihood.process_noise_of(case, 0.4))
+    long = replace(first, process_noise=filter_memory.process_noise_of(case, 0.4))
     assert (
-        likelihood.most_likely_process_noise([case], long.structure, long.values, around=long.process_noise)
+        optimizer.most_likely_process_noise([case], long.structure, long.values, around=long.process_noise)
         > 2.0 * long.process_noise
     )
     monkeypatch.setattr(local_optima, "with_longer_memory", lambda cases, point: point)
@@ -759,7 +770,7 @@ def test_what_is_held_as_if_it_were_part_of_the_link_rides_on_nothing() -> None:
     for hold in ("unknown_swing_stiffness", "unknown_swing_damping"):
         firmly = {**rides.values, "unknown_swing_stiffness": 10.0, "unknown_swing_damping": 1.0}
         assert is_plausible([case], replace(rides, values=firmly))
-        firmly[hold] = likelihood.bounds_of(hold)[1]
+        firmly[hold] = parameter_bounds.bounds_of(hold)[1]
         assert not is_plausible([case], replace(rides, values=firmly))
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from twin.diagnosis import residual_torque, screening, selection_round
 from twin.diagnosis.plausibility import is_plausible
 from twin.effects.catalogue import CANDIDATES
-from twin.estimation import likelihood, local_optima, multistart, preparation
+from twin.estimation import filter_memory, likelihood, local_optima, multistart, preparation, prepared_recording
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -23,7 +23,7 @@ def lines(position, torque, effect: str, name: str, unit: str = "rad", pushed=No
     time = 0.002 * np.arange(len(torque))
     structure = Structure.of(["inertia", "viscous_friction", "dead_band"])
     duty = np.where(time % 1.0 < 0.5, 30.0, 0.0) if pushed is None else pushed
-    case = likelihood.prepare_recording(Recording("made", time, duty, position, "%", unit, 1e-4), structure)
+    case = prepared_recording.prepare_recording(Recording("made", time, duty, position, "%", unit, 1e-4), structure)
     speed = np.gradient(position, time)
     missing = residual_torque.MissingTorque(time, torque, position, speed, np.gradient(speed, time), duty, 0.002)
     with pytest.MonkeyPatch.context() as patch:
@@ -41,7 +41,7 @@ def test_every_candidate_is_tried_however_long_the_recording(monkeypatch, end: f
     recording = Recording("made", time, 30.0 * wave, 5.0 * wave, "%", "rad", 1e-4)
     missing = residual_torque.MissingTorque(time, wave, 5.0 * wave, wave, wave, 30.0 * wave, float(time[1]))
     monkeypatch.setattr(residual_torque, "missing_torque", lambda *args: missing)
-    case = likelihood.prepare_recording(recording, structure)
+    case = prepared_recording.prepare_recording(recording, structure)
     tried = screening.trial_grids([case], structure, preparation.complete_values(structure, {}))
     assert set(tried) == set(CANDIDATES) and all(tried.values())
     times = [row["fade_time"] for row in tried["thermal_fade"]]
@@ -58,14 +58,14 @@ def test_what_depends_on_the_position_is_looked_for_along_the_way_where_a_speed_
     y, states = run(structure.with_("torque_ripple"), there | wave, time, duty)
     speed = states[:, 1]
     assert 40.0 < np.ptp(y) < 60.0 and np.ptp(speed) < 2.0
-    case = likelihood.prepare_recording(Recording("made", time, duty, speed, "%", "rad/s", 1e-4), structure)
+    case = prepared_recording.prepare_recording(Recording("made", time, duty, speed, "%", "rad/s", 1e-4), structure)
     assert np.abs(case.positions - (y - y[0])).max() < 0.01 * np.ptp(y)
     tried = screening.trial_grids([case], structure, there)
     assert min(abs(row["ripple_order"] - 10.0) for row in tried["torque_ripple"]) < 0.2
     for row in tried["end_stop"]:
         assert row["stop_upper"] > 0.9 * np.ptp(y) and row["stop_lower"] < 0.1 * np.ptp(y)
     fitted = local_optima.refit(
-        [case], structure, there, {}, likelihood.process_noise_of(case, local_optima.MIN_MEMORY)
+        [case], structure, there, {}, filter_memory.process_noise_of(case, local_optima.MIN_MEMORY)
     )
     longer = local_optima.refit([case], structure.with_("torque_ripple"), there | wave, {}, fitted.process_noise)
     assert is_plausible([case], longer)
@@ -155,7 +155,7 @@ def test_a_torque_is_looked_for_on_the_motor_and_on_the_link(effect, law, share)
     shaken = duty + 0.1 * rng.standard_normal(len(time))
     made = recorded(structure.with_(effect), values | law | {"shaft_share": share}, time, duty, shaken, 16384.0)
     cases = preparation.prepare_recordings([made], structure)
-    before = local_optima.refit(cases, structure, values, {}, likelihood.process_noise_of(cases[0], 0.05))
+    before = local_optima.refit(cases, structure, values, {}, filter_memory.process_noise_of(cases[0], 0.05))
     trials = screening.trial_grids(cases, structure, before.values)
     (entry,) = screening.score_candidates(cases, before, {effect: trials[effect]})
     begun = screening.most_likely_values(cases, entry.structure, entry.places, before.process_noise)
@@ -180,7 +180,7 @@ def test_a_torque_that_dead_bands_had_taken_over_is_found_on_its_own_side_of_the
     shaken = duty + 0.1 * np.random.default_rng(0).standard_normal(len(time))
     made = recorded(structure.with_("constant_offset"), values | law, time, duty, shaken, 10000.0)
     cases = preparation.prepare_recordings([made], structure)
-    before = local_optima.refit(cases, structure, values, {}, likelihood.process_noise_of(cases[0], 0.1))
+    before = local_optima.refit(cases, structure, values, {}, filter_memory.process_noise_of(cases[0], 0.1))
     trials = screening.trial_grids(cases, before.structure, before.values)["constant_offset"]
     (entry,) = screening.score_candidates(cases, before, {"constant_offset": trials})
     begun = screening.most_likely_values(cases, entry.structure, entry.places, before.process_noise)
@@ -201,7 +201,7 @@ def test_what_many_promise_in_shared_runs_is_what_each_does_in_its_own(monkeypat
     law = {"coulomb_friction": 0.4, "dry_share": 0.5, "gravity_gain": 0.5, "gravity_angle": 0.3}
     made = recorded(structure.with_("coulomb_friction", "gravity"), values | law, time, duty, duty, 40000.0)
     cases = preparation.prepare_recordings([made], structure)
-    before = local_optima.refit(cases, structure, values, {}, likelihood.process_noise_of(cases[0], 0.1))
+    before = local_optima.refit(cases, structure, values, {}, filter_memory.process_noise_of(cases[0], 0.1))
     rows = screening.trial_grids(cases, before.structure, before.values)
     rows = {e: tried for e, tried in rows.items() if e not in screening.WITHOUT_SCORE_TEST}
     runs = []
@@ -270,7 +270,7 @@ def test_a_strong_ripple_is_found_from_where_it_follows_what_is_missing(seed) ->
     )
     cases, rough = multistart.coarse_starts([made], structure, {})
     before = local_optima.refit(
-        cases, structure, values | rough[0].values, {}, likelihood.process_noise_of(cases[0], 0.1)
+        cases, structure, values | rough[0].values, {}, filter_memory.process_noise_of(cases[0], 0.1)
     )
     found = min(selection_round._fit_followers(cases, before, ["torque_ripple"], {}), key=lambda h: h.deviance)
     assert found.point.values["ripple_order"] == pytest.approx(19.0, abs=0.1)
@@ -294,7 +294,7 @@ def test_a_lag_is_looked_for_ahead_of_the_dead_band_and_behind_it(share) -> None
         preparation.with_tooth_compliance(structure).with_("motor_lag"), values | lag, time, duty, shaken, 16384.0
     )
     cases, rough = multistart.coarse_starts([made], structure, {})
-    before = local_optima.refit(cases, structure, rough[0].values, {}, likelihood.process_noise_of(cases[0], 0.1))
+    before = local_optima.refit(cases, structure, rough[0].values, {}, filter_memory.process_noise_of(cases[0], 0.1))
     trials = screening.trial_grids(cases, structure, before.values)["motor_lag"]
     (entry,) = screening.score_candidates(cases, before, {"motor_lag": trials})
     begun = screening.most_likely_values(cases, entry.structure, entry.places, before.process_noise)
@@ -314,7 +314,7 @@ def test_a_candidate_moves_nothing_that_is_held() -> None:
     y, _ = run(preparation.with_tooth_compliance(structure), values, time, duty)
     cases = preparation.prepare_recordings([Recording("made", time, duty, y, "%", "rad", 1e-4)], structure)
     known = {n: values[n] for n in ("backlash_gap", "motor_share")}
-    before = local_optima.refit(cases, structure, values, known, likelihood.process_noise_of(cases[0], 0.1))
+    before = local_optima.refit(cases, structure, values, known, filter_memory.process_noise_of(cases[0], 0.1))
     trials = screening.trial_grids(cases, before.structure, before.values)["joint_elasticity"]
     assert all(known.keys() <= row.keys() for row in trials)
     (entry,) = screening.score_candidates(cases, before, {"joint_elasticity": trials})
@@ -338,8 +338,8 @@ def test_a_start_is_looked_for_in_parts_of_a_long_recording_unless_it_lies_at_a_
     duty = 20.0 * np.sin(3.0 * time) + 40.0 * ((time > 6.0) & (time < 8.0)) - 40.0 * ((time > 9.0) & (time < 11.0))
     y, _ = run(structure.with_(effect), values | law, time, duty)
     made = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
-    cases = [likelihood.prepare_recording(made, structure)]
-    before = local_optima.refit(cases, structure, values, {}, likelihood.process_noise_of(cases[0], 0.1))
+    cases = [prepared_recording.prepare_recording(made, structure)]
+    before = local_optima.refit(cases, structure, values, {}, filter_memory.process_noise_of(cases[0], 0.1))
     read, evaluate = [], likelihood.evaluate
 
     def looked(seen, *rest):

@@ -21,8 +21,8 @@ from twin.diagnosis import forward_selection, model_comparison, selection_round
 from twin.diagnosis.forward_selection import Alternative, SearchResult
 from twin.diagnosis.selection_round import Hypothesis, Round
 from twin.effects.catalogue import BASE, CANDIDATES
-from twin.estimation import contact_masking, likelihood, local_optima, multistart, preparation
-from twin.estimation.likelihood import Fit
+from twin.estimation import contact_masking, local_optima, multistart, preparation, prepared_recording
+from twin.estimation.fit import Fit
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -70,7 +70,7 @@ def looked_at(
     monkeypatch, found: SearchResult, sharp: Fit, grown: Fit, swaps: list[Alternative], settle=None
 ) -> SearchResult:  # fmt: skip
     """The closer look where the filter that the recording asks for ends here, and finds these."""
-    case = likelihood.prepare_recording(
+    case = prepared_recording.prepare_recording(
         Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), FIRST
     )
     rounds = [Round(sharp, (Hypothesis(grown.structure.named[-1:], grown),), 1.0)] if grown is not sharp else []

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from twin.diagnosis import residual_torque, torque_regression
 from twin.effects.catalogue import BASE, CANDIDATES
-from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Fit
+from twin.estimation import filter_memory, preparation, prepared_recording
+from twin.estimation.fit import Fit
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -60,10 +60,10 @@ def asked(question, torque: Array, seed: int = 0, **values: float):
         TIME, torque + noise, PLACE, SPEED, np.gradient(SPEED, TIME), COMMAND, 0.002
     )
     structure = Structure.of(BASE)
-    case = likelihood.prepare_recording(Recording("made", TIME, COMMAND, PLACE, "%", "rad", 1e-4), structure)
+    case = prepared_recording.prepare_recording(Recording("made", TIME, COMMAND, PLACE, "%", "rad", 1e-4), structure)
     free, none = preparation.free_parameters(structure), np.zeros((0, 0))
     known = preparation.complete_values(structure, {**BEFORE, **values})
-    base = Fit(structure, known, likelihood.process_noise_of(case, 0.1), free, 0.0, 1.0, none, np.zeros(0), none)
+    base = Fit(structure, known, filter_memory.process_noise_of(case, 0.1), free, 0.0, 1.0, none, np.zeros(0), none)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(residual_torque, "missing_torque", lambda *args: missing)
         return question([case], base)

@@ -25,8 +25,8 @@ from twin.diagnosis.forward_selection import Alternative, SearchResult
 from twin.diagnosis.result import Diagnosis, Fitness
 from twin.diagnosis.selection_round import Hypothesis, Round
 from twin.diagnosis.thresholds import UNDECIDED_MARGIN
-from twin.estimation import likelihood, local_optima, maximum_likelihood
-from twin.estimation.likelihood import Fit
+from twin.estimation import filter_memory, local_optima, maximum_likelihood, optimizer, prepared_recording
+from twin.estimation.fit import Fit
 from twin.io.recording import Recording
 from twin.model.stepper import BASE, Structure
 from twin.report import html, wording
@@ -252,12 +252,16 @@ def test_while_an_axis_is_pushed_dead_bands_that_differ_may_be_a_constant_torque
     command = np.where(np.sin(4.0 * time) >= 0.0, 30.0, -25.0) * (1.0 + 0.5 * np.sin(0.9 * time))
     if coasts:
         command = np.where(np.mod(time, 2.0) > 1.0, 0.0, command)
-    drive = likelihood.prepare_recording(Recording("", time, command, np.zeros(4000), "%", "rad", 1e-3), plain).drive
+    drive = prepared_recording.prepare_recording(
+        Recording("", time, command, np.zeros(4000), "%", "rad", 1e-3), plain
+    ).drive
     moved = kernel.predict(drive, kernel.vector(plain, values), kernel.start_state(0.0, 0.0, 0.0)).reading
     noise = np.random.default_rng(7).normal(0.0, 1e-3, 4000)
-    cases = [likelihood.prepare_recording(Recording("axis", time, command, moved + noise, "%", "rad", 1e-3), plain)]
-    process_noise = likelihood.process_noise_of(cases[0], 0.2)
-    last = likelihood.levenberg_marquardt(cases, plain, values, process_noise, tuple(values))
+    cases = [
+        prepared_recording.prepare_recording(Recording("axis", time, command, moved + noise, "%", "rad", 1e-3), plain)
+    ]
+    process_noise = filter_memory.process_noise_of(cases[0], 0.2)
+    last = optimizer.levenberg_marquardt(cases, plain, values, process_noise, tuple(values))
     swaps = forward_selection._offset_for_dead_bands(cases, last, offered)
     told = [("dead_band", "constant_offset")] if offered and not coasts else []
     assert [(w.effect, w.rival) for w in swaps] == told

@@ -9,8 +9,17 @@ import numpy as np
 import pytest
 
 from twin.effects.catalogue import BASE
-from twin.estimation import contact_masking, likelihood, multistart, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import (
+    contact_masking,
+    filter_memory,
+    likelihood,
+    multistart,
+    optimizer,
+    preparation,
+    prepared_recording,
+)
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 from twin.simulation import kernel
@@ -44,17 +53,17 @@ def shaken(duty: np.ndarray, seed: int, size: float = 1.0) -> tuple[PreparedReco
     time = STEP * np.arange(len(duty))
     blank = Recording("made", time, duty + unknown, np.zeros(len(duty)), "%", "rad", COUNT)
     run = kernel.predict(
-        likelihood.prepare_recording(blank, STRUCTURE).drive, kernel.vector(STRUCTURE, VALUES),
+        prepared_recording.prepare_recording(blank, STRUCTURE).drive, kernel.vector(STRUCTURE, VALUES),
         kernel.start_state(0.0, 0.0, 0.0), keep_states=True,
     )  # fmt: skip
     touching = np.abs(run.states[:, 2]) >= 0.5 * VALUES["backlash_gap"] * (1.0 - 1e-9)
     read = COUNT * np.round(run.reading / COUNT)
     met = time[1:][touching[1:] & ~touching[:-1]]
-    return likelihood.prepare_recording(replace(blank, input=duty, output=read), STRUCTURE), met
+    return prepared_recording.prepare_recording(replace(blank, input=duty, output=read), STRUCTURE), met
 
 
 def at_truth(case: PreparedRecording) -> Fit:
-    process_noise = likelihood.most_likely_process_noise([case], STRUCTURE, VALUES)
+    process_noise = optimizer.most_likely_process_noise([case], STRUCTURE, VALUES)
     return likelihood.evaluate([case], STRUCTURE, VALUES, process_noise, preparation.free_parameters(STRUCTURE))
 
 
@@ -94,7 +103,7 @@ def test_the_truth_is_as_likely_as_it_should_be_where_only_what_can_be_foreseen_
         point = at_truth(case)
         for cases in ([case], contact_masking.with_contact_mask([case], point)):
             here = likelihood.evaluate(cases, STRUCTURE, VALUES, point.process_noise, point.free)
-            best = likelihood.levenberg_marquardt(cases, STRUCTURE, VALUES, point.process_noise, point.free)
+            best = optimizer.levenberg_marquardt(cases, STRUCTURE, VALUES, point.process_noise, point.free)
             behind.append(here.deviance - best.deviance)
     # Of so many parameters it is chi-squared: less than three for each in all but one of a thousand.
     assert max(behind[1::2]) < 3.0 * len(VALUES)
@@ -107,7 +116,7 @@ def swept(seconds: float = 12.0, top: float = 8.0) -> Recording:
     rate = np.log(top / 0.2) / time[-1]
     duty = 50.0 * np.sin(2.0 * np.pi * 0.2 * np.expm1(rate * time) / rate)
     blank = Recording("swept", time, duty, np.zeros(len(duty)), "%", "rad", COUNT)
-    case = likelihood.prepare_recording(blank, TEETH)
+    case = prepared_recording.prepare_recording(blank, TEETH)
     run = kernel.predict(case.drive, kernel.vector(TEETH, SOFT), kernel.start_state(0.0, 0.0, 0.0))
     return replace(blank, output=COUNT * np.round(run.reading / COUNT))
 
@@ -116,11 +125,13 @@ def test_only_between_turns_in_quick_succession_a_motor_rattles() -> None:
     levels = {500: 30.0, 540: -30.0, 600: 30.0, 680: -30.0, 1600: 30.0, 1610: 0.0, 1620: 2.0, 1630: -2.0, 2600: 30.0}
     duty = np.repeat(list(levels.values()), np.diff([0, *levels]))
     blank = Recording("made", STEP * np.arange(len(duty)), duty, np.zeros(len(duty)), "%", "rad", COUNT)
-    hidden = contact_masking.find_rattling(likelihood.prepare_recording(blank, STRUCTURE))
+    hidden = contact_masking.find_rattling(prepared_recording.prepare_recording(blank, STRUCTURE))
     # What comes before the first turn and after the last is at rest, and next to nothing is no turn.
     assert hidden is not None and np.array_equal(np.flatnonzero(hidden), np.arange(500, 680))
     for other in (replace(blank, input=-3.0 * duty), replace(blank, input=0.1 * duty)):
-        assert np.array_equal(contact_masking.find_rattling(likelihood.prepare_recording(other, STRUCTURE)), hidden)
+        assert np.array_equal(
+            contact_masking.find_rattling(prepared_recording.prepare_recording(other, STRUCTURE)), hidden
+        )
 
 
 @pytest.mark.parametrize("wave", [0.0, 1.0])
@@ -128,14 +139,14 @@ def test_where_nothing_rattles_or_everything_does_all_is_judged(wave: float) -> 
     time = STEP * np.arange(5000)
     duty = 30.0 * (np.sign(np.sin(2.0 * np.pi * 5.0 * time)) if wave else np.ones(5000))
     blank = Recording("made", time, duty, np.zeros(5000), "%", "rad", COUNT)
-    assert contact_masking.find_rattling(likelihood.prepare_recording(blank, STRUCTURE)) is None
+    assert contact_masking.find_rattling(prepared_recording.prepare_recording(blank, STRUCTURE)) is None
     assert preparation.prepare_recordings([swept()], STRUCTURE.without("backlash"))[0].rattle_mask is None
 
 
 def test_without_its_rattle_a_recording_leads_to_the_truth_from_nearby() -> None:
     (case,) = preparation.with_internal_step(preparation.prepare_recordings([swept()], TEETH), TEETH)
     assert case.rattle_mask is not None and 0.2 < case.rattle_mask.mean() < 0.8
-    process_noise, free = likelihood.process_noise_of(case, 0.1), preparation.free_parameters(TEETH)
+    process_noise, free = filter_memory.process_noise_of(case, 0.1), preparation.free_parameters(TEETH)
     rng = np.random.default_rng(0)
     starts = [{n: v * np.exp(0.1 * rng.standard_normal()) for n, v in SOFT.items()} for _ in range(64)]
 
@@ -144,7 +155,7 @@ def test_without_its_rattle_a_recording_leads_to_the_truth_from_nearby() -> None
         readings = np.count_nonzero(np.isfinite(likelihood.innovations(judged, TEETH, SOFT, process_noise).error))
         with ThreadPoolExecutor(2) as pool:
             climbs = pool.map(
-                lambda v: likelihood.levenberg_marquardt([judged], TEETH, v, process_noise, free), (SOFT, *starts)
+                lambda v: optimizer.levenberg_marquardt([judged], TEETH, v, process_noise, free), (SOFT, *starts)
             )
             ends = [point.deviance for point in climbs]
         return [(end - min(ends)) / readings for end in ends[1:]]
@@ -166,11 +177,11 @@ def test_until_motor_and_link_have_met_nothing_is_judged(begun: float, after: fl
     duty = np.where(time >= begun, 20.0 * np.sign(np.sin(2.0 * np.pi * 0.4 * (time - begun) + 1e-9)), 1.0)
     moving = np.maximum(time - begun - after, 0.0) if after else time
     made = Recording("made", time, duty, COUNT * np.round(moving / COUNT), "%", "rad", COUNT)
-    hidden = contact_masking.find_first_contact(likelihood.prepare_recording(made, STRUCTURE))
+    hidden = contact_masking.find_first_contact(prepared_recording.prepare_recording(made, STRUCTURE))
     assert hidden is not None and hidden[0] and not np.any(np.diff(hidden.astype(int)) > 0)
     assert time[hidden][-1] == pytest.approx(begun + after + 0.25, abs=0.01)
     pushed_once = replace(made, input=np.abs(duty))
-    assert contact_masking.find_first_contact(likelihood.prepare_recording(pushed_once, STRUCTURE)) is None
+    assert contact_masking.find_first_contact(prepared_recording.prepare_recording(pushed_once, STRUCTURE)) is None
 
 
 @pytest.mark.parametrize("stands", [-1.0, -0.47, 0.3, 1.0])
@@ -179,12 +190,12 @@ def test_where_in_its_gap_the_motor_stood_at_the_start_misleads_nobody(stands: f
     duty = np.where(time > 0.4, 20.0 * np.sign(np.sin(2.0 * np.pi * 0.5 * time)), 0.0)
     blank = Recording("made", time, duty, np.zeros(4000), "%", "rad", COUNT)
     x = kernel.start_state(0.0, 0.0, 0.5 * stands * SOFT["backlash_gap"])
-    run = kernel.predict(likelihood.prepare_recording(blank, TEETH).drive, kernel.vector(TEETH, SOFT), x)
+    run = kernel.predict(prepared_recording.prepare_recording(blank, TEETH).drive, kernel.vector(TEETH, SOFT), x)
     recording = replace(blank, output=COUNT * np.round(run.reading / COUNT))
     cases = preparation.with_internal_step(preparation.prepare_recordings([recording], TEETH), TEETH)
     (chosen,) = multistart.choose_initial_contacts(cases, TEETH, SOFT)
     assert chosen.contact == pytest.approx(stands, abs=0.13)
-    process_noise, free = likelihood.process_noise_of(chosen, 0.1), preparation.free_parameters(TEETH)
-    point = likelihood.levenberg_marquardt([chosen], TEETH, SOFT, process_noise, free)
+    process_noise, free = filter_memory.process_noise_of(chosen, 0.1), preparation.free_parameters(TEETH)
+    point = optimizer.levenberg_marquardt([chosen], TEETH, SOFT, process_noise, free)
     truth = likelihood.evaluate([chosen], TEETH, SOFT, process_noise, free)
     assert truth.deviance - point.deviance < 3.0 * len(free)

@@ -10,7 +10,7 @@ import pytest
 from axis_runs import run, steps
 
 from twin.errors import BadInput
-from twin.estimation import likelihood, maximum_likelihood
+from twin.estimation import likelihood, maximum_likelihood, prepared_recording
 from twin.io.recording import Loop, Recording
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
@@ -39,7 +39,7 @@ def models(lag: float) -> tuple[Model, Model]:
 
 
 def free_run(model: Model, recording: Recording) -> float:
-    case = likelihood.prepare_recording(recording, model.structure)
+    case = prepared_recording.prepare_recording(recording, model.structure)
     error = likelihood.innovations(case, model.structure, model.values, 0.0).error
     return float(np.sqrt(np.mean(error**2)))
 
@@ -66,7 +66,7 @@ def test_under_the_own_loop_the_values_are_those_of_the_loop() -> None:
         "made", time, np.zeros(8000), np.zeros(8000), "%", "rad", loop=loop,
         optional={"reference": np.sin(2.0 * time) + 0.5 * np.sign(np.sin(1.3 * time))},
     )  # fmt: skip
-    case = likelihood.prepare_recording(made, STRUCTURE, closed=True)
+    case = prepared_recording.prepare_recording(made, STRUCTURE, closed=True)
     position = -likelihood.innovations(case, STRUCTURE, TRUTH, 0.0).error
     wish = np.clip(150.0 * (made.optional["reference"] - position), -80.0, 80.0)
     recording = replace(made, output=np.round(position / COUNT) * COUNT, input=1.33 * wish, resolution=COUNT)

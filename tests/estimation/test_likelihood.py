@@ -16,8 +16,17 @@ from scipy.special import huber
 
 from twin.effects.catalogue import BASE
 from twin.effects.end_stop import NOWHERE
-from twin.estimation import likelihood, maximum_likelihood, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import (
+    filter_memory,
+    likelihood,
+    maximum_likelihood,
+    optimizer,
+    parameter_bounds,
+    preparation,
+    prepared_recording,
+)
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 from twin.simulation import kernel
@@ -45,9 +54,9 @@ def test_a_step_is_the_best_one_within_the_bounds(seed: int) -> None:
     normal = root.T @ root
     point = Fit(STRUCTURE, VALUES, 1.0, FREE, 0.0, 1.0, normal, normal @ wanted, normal)
     here, limits = np.array(list(VALUES.values())), bounds(point)
-    moved = likelihood._damped_step(point, 0.0)
+    moved = optimizer._damped_step(point, 0.0)
     step = np.array([moved[n] for n in FREE]) - here
-    assert likelihood.within_bounds(moved)
+    assert parameter_bounds.within_bounds(moved)
     best = lsq_linear(root, root @ wanted, (limits[:, 0] - here, limits[:, 1] - here), tol=1e-12).x
 
     def gain(change: np.ndarray) -> float:
@@ -62,19 +71,19 @@ def made(correlated: float = 0.0, duration: float = 30.0, seed: int = 1) -> Prep
     time = np.arange(round(duration / 0.002)) * 0.002
     duty = np.repeat(rng.uniform(15.0, 60.0, len(time) // 250) * (-1.0) ** np.arange(len(time) // 250), 250)
     blank = Recording("made", time, duty, np.zeros(len(time)), "%", "rad", COUNT)
-    case = likelihood.prepare_recording(blank, STRUCTURE)
+    case = prepared_recording.prepare_recording(blank, STRUCTURE)
     x = kernel.start_state(0.0, 0.0, 0.0)
     position = kernel.predict(case.drive, kernel.vector(STRUCTURE, VALUES), x).reading
     slow = np.convolve(rng.standard_normal(len(time) + 99), np.full(100, 0.1), "valid")
     read = position + COUNT * (rng.uniform(-0.5, 0.5, len(time)) + correlated * slow)
-    return likelihood.prepare_recording(replace(blank, output=read), STRUCTURE)
+    return prepared_recording.prepare_recording(replace(blank, output=read), STRUCTURE)
 
 
 @pytest.mark.parametrize(("correlated", "least", "most"), [(0.0, 1.0, 1.6), (1.0, 2.0, 30.0)])
 def test_errors_that_hang_together_widen_the_standard_errors(correlated: float, least: float, most: float) -> None:
     case = made(correlated)
-    process_noise = likelihood.process_noise_of(case, 0.2)
-    point = likelihood.levenberg_marquardt([case], STRUCTURE, VALUES, process_noise, FREE)
+    process_noise = filter_memory.process_noise_of(case, 0.2)
+    point = optimizer.levenberg_marquardt([case], STRUCTURE, VALUES, process_noise, FREE)
     wider = np.sqrt(np.diag(likelihood.jackknife_covariance([case], point)) / np.diag(point.covariance))
     assert least <= float(np.median(wider)) < most
 
@@ -141,7 +150,9 @@ def test_slow_errors_are_seen_where_little_is_judged_too() -> None:
     late = np.arange(len(whole.drive.time)) >= 2000
     units = []
     for case in (whole, replace(whole, rattle_mask=late)):
-        point = likelihood.levenberg_marquardt([case], STRUCTURE, VALUES, likelihood.process_noise_of(case, 0.2), FREE)
+        point = optimizer.levenberg_marquardt(
+            [case], STRUCTURE, VALUES, filter_memory.process_noise_of(case, 0.2), FREE
+        )
         units.append(point.overdispersion)
     assert units[0] > 2.0 and units[1] > 0.3 * units[0]
 
@@ -149,7 +160,7 @@ def test_slow_errors_are_seen_where_little_is_judged_too() -> None:
 def test_slow_errors_are_seen_in_a_short_recording_too() -> None:
     """Were it taken for one whose errors have nothing to do with each other, the larger of two models would win."""
     case = made(1.0, duration=4.0)
-    point = likelihood.levenberg_marquardt([case], STRUCTURE, VALUES, likelihood.process_noise_of(case, 0.2), FREE)
+    point = optimizer.levenberg_marquardt([case], STRUCTURE, VALUES, filter_memory.process_noise_of(case, 0.2), FREE)
     assert point.overdispersion > 2.0
 
 
@@ -164,11 +175,11 @@ def rattling() -> tuple[PreparedRecording, dict[str, float], float]:
     time = np.arange(5000) * 0.002
     duty = 60.0 * np.sin(2.0 * np.pi * (0.1 + 0.395 * time) * time)
     blank = Recording("rattles", time, duty, np.zeros(len(time)), "%", "rad", COUNT)
-    case = likelihood.prepare_recording(blank, structure)
+    case = prepared_recording.prepare_recording(blank, structure)
     read = kernel.predict(case.drive, kernel.vector(structure, values), kernel.start_state(0.0, 0.0, 0.0)).reading
     noise = COUNT * np.random.default_rng(3).uniform(-0.5, 0.5, len(time))
-    case = likelihood.prepare_recording(replace(blank, output=read + noise), structure)
-    return case, values, likelihood.process_noise_of(case, 0.1)
+    case = prepared_recording.prepare_recording(replace(blank, output=read + noise), structure)
+    return case, values, filter_memory.process_noise_of(case, 0.1)
 
 
 def test_slopes_that_have_run_away_do_not_hold_a_climb() -> None:
@@ -176,14 +187,14 @@ def test_slopes_that_have_run_away_do_not_hold_a_climb() -> None:
     case, values, process_noise = rattling()
     structure, off = STRUCTURE.with_("tooth_compliance"), ("input_gain", "dead_band_forward", "backlash_gap")
     begun = {n: 1.02 * v if n in off else v for n, v in values.items()}
-    reached = likelihood.levenberg_marquardt([case], structure, begun, process_noise, tuple(values))
+    reached = optimizer.levenberg_marquardt([case], structure, begun, process_noise, tuple(values))
     assert abs(reached.values["input_gain"] / values["input_gain"] - 1.0) < 0.01
 
 
 def test_only_slopes_of_rattle_count_as_run_away(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where teeth stay in mesh for longer than a bounce, all of them say something, with any memory of the filter."""
     calm, (rough, values, process_noise) = made(), rattling()
-    known = [likelihood.process_noise_of(calm, memory) for memory in (0.01, 0.03, 0.1, 0.5)]
+    known = [filter_memory.process_noise_of(calm, memory) for memory in (0.01, 0.03, 0.1, 0.5)]
     kept = [likelihood.innovations(calm, STRUCTURE, VALUES, d, FREE).slopes for d in known]
     bounded = likelihood.innovations(
         rough, STRUCTURE.with_("tooth_compliance"), values, process_noise, tuple(values)
@@ -210,9 +221,9 @@ def test_what_rounding_takes_from_a_resting_axis_is_no_error(away: float) -> Non
     rests = Recording("rests", time, np.zeros(1000), np.zeros(1000), "%", "rad", COUNT)
     moves = replace(rests, output=COUNT * np.round(time / 0.4))
     late = time > 1.0  # once it swings no more
-    case = likelihood.prepare_recording(rests, structure)
-    run = likelihood.innovations(case, structure, values, likelihood.process_noise_of(case, 0.1), tuple(values))
-    assert case.resting.all() and not likelihood.prepare_recording(moves, structure).resting.any()
+    case = prepared_recording.prepare_recording(rests, structure)
+    run = likelihood.innovations(case, structure, values, filter_memory.process_noise_of(case, 0.1), tuple(values))
+    assert case.resting.all() and not prepared_recording.prepare_recording(moves, structure).resting.any()
     beyond = max(away - 0.5, 0.0) * COUNT
     assert np.allclose(run.error[late], -beyond, atol=0.05 * COUNT)
     assert np.any(run.slopes[late] != 0.0) == (beyond > 0.0)
@@ -228,9 +239,9 @@ def test_what_happened_in_a_silence_bends_no_estimate() -> None:
     moved = kernel.predict(replace(whole.drive, command=otherwise), kernel.vector(STRUCTURE, VALUES), x).reading
     read = np.where(silent, np.nan, moved + COUNT * np.random.default_rng(2).uniform(-0.5, 0.5, len(time)))
     recording = replace(whole.recording, output=read)
-    case = likelihood.prepare_recording(recording, STRUCTURE)
+    case = prepared_recording.prepare_recording(recording, STRUCTURE)
     start = {**VALUES, "input_gain": 0.31, "viscous_friction": 2.1}
-    point = likelihood.levenberg_marquardt([case], STRUCTURE, start, likelihood.process_noise_of(case, 0.2), FREE)
+    point = optimizer.levenberg_marquardt([case], STRUCTURE, start, filter_memory.process_noise_of(case, 0.2), FREE)
     away = [point.values[n] - VALUES[n] for n in FREE] / np.sqrt(
         np.diag(likelihood.jackknife_covariance([case], point))
     )
@@ -246,7 +257,7 @@ def test_values_so_wild_that_the_model_overflows_are_refused_without_a_word() ->
         warnings.simplefilter("error")  # in every thread: an array's overflow would be raised
         assert likelihood.deviances([case], STRUCTURE, wild, 1.0) == [math.inf, math.inf]
         assert likelihood.evaluate([case], STRUCTURE, wild[0], 1.0, FREE).deviance == math.inf
-        assert "cannot run" in likelihood.levenberg_marquardt([case], STRUCTURE, wild[0], 1.0, FREE).message
+        assert "cannot run" in optimizer.levenberg_marquardt([case], STRUCTURE, wild[0], 1.0, FREE).message
         untraced = Fit(STRUCTURE, VALUES, 1.0, FREE[:2], 0.0, 1.0, np.diag([4.0, 0.0]), np.zeros(2), np.eye(2))
         assert np.array_equal(untraced.covariance, [[0.25, 0.0], [0.0, math.inf]]) and untraced.overdispersion == 1.0
 
@@ -297,9 +308,9 @@ def test_a_motor_that_rattles_makes_the_likelihood_rough_and_the_errors_wide(
     time, duty = 0.002 * np.arange(6000), steps(np.random.default_rng(1), 6000, hold, 40.0)
     read = count * np.round(run(structure, values, time, duty)[0] / count)
     recording = Recording("made", time, duty, read, "%", "rad", count)
-    cases = [likelihood.prepare_recording(recording, structure)]
-    process_noise = likelihood.process_noise_of(cases[0], 0.1)
-    point = likelihood.levenberg_marquardt(
+    cases = [prepared_recording.prepare_recording(recording, structure)]
+    process_noise = filter_memory.process_noise_of(cases[0], 0.1)
+    point = optimizer.levenberg_marquardt(
         cases, structure, values, process_noise, preparation.free_parameters(structure)
     )
     found = maximum_likelihood.roughness(cases, point)
@@ -358,11 +369,11 @@ def test_friction_that_would_push_is_none(dry: float, beyond: float, side: float
     time = 0.002 * np.arange(2000)
     command = steps(np.random.default_rng(8), len(time), 150, 40.0)
     there, _ = run(structure, values, time, command)
-    within = likelihood._with_resisting_friction(values, tuple(values))
+    within = optimizer._with_resisting_friction(values, tuple(values))
     here, _ = run(structure, within, time, command)
     assert here == pytest.approx(there, abs=1e-9)
     assert abs(within["friction_asymmetry"]) <= within["coulomb_friction"] + 1e-12
-    known = likelihood._with_resisting_friction(values, ("friction_asymmetry",))
+    known = optimizer._with_resisting_friction(values, ("friction_asymmetry",))
     assert known["coulomb_friction"] == dry == pytest.approx(abs(known["friction_asymmetry"]))
 
 
@@ -375,10 +386,10 @@ def test_friction_in_one_direction_alone_has_a_size_that_is_known() -> None:
     command = np.where(np.arange(len(time)) % 400 < 100, 0.0, steps(rng, len(time), 200, 40.0))
     y, _ = run(structure, values, time, command + 0.3 * rng.standard_normal(len(time)))
     recording = Recording("made", time, command, np.round(y / COUNT) * COUNT, "%", "rad", COUNT)
-    case = likelihood.prepare_recording(recording, structure)
+    case = prepared_recording.prepare_recording(recording, structure)
     begun = {**values, "coulomb_friction": 0.4, "friction_asymmetry": -1.5}
-    found = likelihood.levenberg_marquardt(
-        [case], structure, begun, likelihood.process_noise_of(case, 0.1), tuple(values)
+    found = optimizer.levenberg_marquardt(
+        [case], structure, begun, filter_memory.process_noise_of(case, 0.1), tuple(values)
     )
     lean = found.free.index("friction_asymmetry")
     assert found.values["friction_asymmetry"] == pytest.approx(-1.0, abs=0.1)

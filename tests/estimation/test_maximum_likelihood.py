@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin.estimation import likelihood, maximum_likelihood, multistart, preparation
+from twin.estimation import maximum_likelihood, multistart, optimizer, parameter_bounds, preparation
 from twin.io.recording import Recording
 
 STRUCTURE, COUNT = preparation.base_structure(), 6e-4
@@ -59,7 +59,7 @@ def test_a_memory_that_grows_leads_from_another_gap_and_other_teeth_to_the_truth
     point = multistart._fit_by_lengthening_memory(cases, STRUCTURE, VALUES | apart, free)
     assert point.values["backlash_gap"] == pytest.approx(VALUES["backlash_gap"], rel=0.03)
     assert point.values["tooth_frequency"] == pytest.approx(VALUES["tooth_frequency"], rel=0.05)
-    direct = likelihood.levenberg_marquardt(cases, STRUCTURE, VALUES | apart, point.process_noise, free)
+    direct = optimizer.levenberg_marquardt(cases, STRUCTURE, VALUES | apart, point.process_noise, free)
     assert direct.deviance > point.deviance + 100.0
 
 
@@ -103,7 +103,7 @@ def test_from_where_no_slope_leads_to_the_truth_breeding_does() -> None:
     assert astray.values["backlash_gap"] < 0.5 * VALUES["backlash_gap"]
     bred = multistart._evolved_starts(cases, astray)
     for i, one in enumerate(bred):
-        assert likelihood.within_bounds(one)
+        assert parameter_bounds.within_bounds(one)
         assert all(
             max(abs(np.log(one[n] / other[n])) for n in multistart._EVOLUTION_RANGES) > 0.09 for other in bred[:i]
         )
@@ -129,7 +129,7 @@ def test_a_parameter_without_a_trace_may_be_anything_within_its_bounds() -> None
     time, duty = 0.002 * np.arange(1800), np.repeat([20.0, 35.0, 50.0, 30.0, 45.0, 25.0], 300)
     read = COUNT * np.round(run(STRUCTURE, VALUES, time, duty)[0] / COUNT)
     model = maximum_likelihood.identify([Recording("one way", time, duty, read, "%", "rad", COUNT)], STRUCTURE)
-    assert model.intervals["dead_band_reverse"] == likelihood.bounds_of("dead_band_reverse")
+    assert model.intervals["dead_band_reverse"] == parameter_bounds.bounds_of("dead_band_reverse")
     low, high = model.intervals["dead_band_forward"]
     assert low <= VALUES["dead_band_forward"] <= high < low + 0.1
     assert not np.any(np.isnan(list(model.intervals.values())))

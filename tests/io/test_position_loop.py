@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from twin.errors import BadInput
-from twin.estimation import likelihood
+from twin.estimation import likelihood, prepared_recording
 from twin.fmi import python_fmu
 from twin.io.position_loop import PERIOD, own_loop
 from twin.io.recording import Loop, Recording
@@ -57,7 +57,7 @@ def test_the_closed_loop_is_the_one_written_by_hand(loop: Loop, tmp_path: Path) 
     assert np.ptp(position) > 0.9
     # At rest the smallest command pushes to and fro about the goal, and rounding decides where it begins.
     close, pushing = (1e-3, np.abs(command) > 5.0) if loop.minimum else (2e-4, np.isfinite(command))
-    case = likelihood.prepare_recording(recording, STRUCTURE, closed=True)
+    case = prepared_recording.prepare_recording(recording, STRUCTURE, closed=True)
     error = likelihood.innovations(case, STRUCTURE, VALUES, 0.0).error
     assert -error[own_loop(recording).stamps] == pytest.approx(position, abs=close)
     fmu = python_fmu.export(Model(STRUCTURE, VALUES, sample_time=0.01), tmp_path / "axis.fmu")
@@ -67,7 +67,7 @@ def test_the_closed_loop_is_the_one_written_by_hand(loop: Loop, tmp_path: Path) 
 
 
 def test_slopes_through_the_loop_are_those_of_differences() -> None:
-    case = likelihood.prepare_recording(followed(replace(LOOP, minimum=None)), STRUCTURE, closed=True)
+    case = prepared_recording.prepare_recording(followed(replace(LOOP, minimum=None)), STRUCTURE, closed=True)
     free = ("input_gain", "viscous_friction")
     exact = likelihood.innovations(case, STRUCTURE, VALUES, 0.0, free).slopes
     for i, name in enumerate(free):

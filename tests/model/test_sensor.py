@@ -8,7 +8,7 @@ from axis_runs import run, steps
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.estimation import likelihood, preparation
+from twin.estimation import likelihood, optimizer, preparation, prepared_recording
 from twin.io.recording import Recording
 from twin.model import sensor
 from twin.model.stepper import Structure
@@ -46,9 +46,9 @@ def test_an_encoder_off_centre_is_estimated_wherever_a_recording_begins(angle: f
     y, _ = run(OFF_CENTRE, true, time, command + 0.3 * rng.standard_normal(len(time)))
     recording = Recording("made", time, command, np.round(y / COUNT) * COUNT, "%", "rad", COUNT)
     assert abs(recording.output[0]) > 15.0 * COUNT
-    case = likelihood.prepare_recording(recording, OFF_CENTRE)
+    case = prepared_recording.prepare_recording(recording, OFF_CENTRE)
     begun = {**true, "eccentricity": 0.004, "eccentricity_angle": angle + 0.5}
-    found = likelihood.fit_with_process_noise([case], OFF_CENTRE, begun, preparation.free_parameters(OFF_CENTRE))
+    found = optimizer.fit_with_process_noise([case], OFF_CENTRE, begun, preparation.free_parameters(OFF_CENTRE))
     assert found.values["eccentricity"] == pytest.approx(0.01, rel=0.1)
     assert found.values["eccentricity_angle"] == pytest.approx(angle, abs=0.1)
 

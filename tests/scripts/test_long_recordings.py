@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import PreparedRecording
+from twin.estimation import filter_memory, likelihood, preparation, prepared_recording
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.io.recording import Loop, Recording
 from twin.model.stepper import STATES, Structure
 from twin.simulation import kernel
@@ -40,9 +40,9 @@ def made(count: int = 6000) -> Recording:
 def test_slopes_in_pieces_are_those_of_the_whole(most: int, closed: bool) -> None:
     loop = Loop("P", gain=150.0, limit=60.0)
     recording = replace(made(), loop=loop, optional={"reference": np.sin(np.arange(6000) / 500.0)})
-    case = likelihood.prepare_recording(recording, STRUCTURE, closed=closed)
+    case = prepared_recording.prepare_recording(recording, STRUCTURE, closed=closed)
     p = kernel.vector(STRUCTURE, VALUES)
-    noise = likelihood.filter_noise(case, likelihood.process_noise_of(case, 0.1))
+    noise = filter_memory.filter_noise(case, filter_memory.process_noise_of(case, 0.1))
     given = (case.drive, p, kernel.start_state(*case.start, 0.0), np.zeros((len(STATES), len(FREE))), FREE, noise)
     whole = kernel.predict_with_slopes(*given)
     parts = list(kernel.in_pieces(*given, most))
@@ -62,7 +62,7 @@ def test_a_point_is_the_same_in_pieces(monkeypatch: pytest.MonkeyPatch, ahead: b
         return [np.array([point.deviance, point.scale]), point.information, point.gradient, spread]
 
     cases = preparation.prepare_recordings([made(), made(3000)], STRUCTURE)
-    process_noise = likelihood.process_noise_of(cases[0], 0.05)
+    process_noise = filter_memory.process_noise_of(cases[0], 0.05)
     if ahead:
         cases = [likelihood.with_free_runs(c, process_noise, 1.0) for c in cases]
     whole = found(cases)

@@ -20,7 +20,7 @@ from twin.diagnosis import diagnose, forward_selection, screening
 from twin.diagnosis.forward_selection import SearchResult
 from twin.diagnosis.plausibility import is_plausible
 from twin.effects.catalogue import CANDIDATES
-from twin.estimation import estimate, likelihood, preparation
+from twin.estimation import estimate, filter_memory, likelihood, optimizer, preparation, prepared_recording
 from twin.io import recording
 from twin.io.recording import Loop, Recording
 from twin.model.fitted_model import Model
@@ -32,13 +32,15 @@ DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 real = pytest.mark.skipif(not DATA.is_dir(), reason="the real recordings are not here")
 
 
-def made(unit: str, count: int, duration: float = 10.0, swing: float = 0.3) -> list[likelihood.PreparedRecording]:
+def made(
+    unit: str, count: int, duration: float = 10.0, swing: float = 0.3
+) -> list[prepared_recording.PreparedRecording]:
     """Cases of a slow oscillation at 0.5 Hz."""
     time = np.arange(0.0, duration, 0.01)
     output = swing * np.sin(np.pi * time)
     one = Recording("made", time, np.cos(np.pi * time), output, "V", unit, resolution=1e-4)
     structure = Structure.of(["inertia", "viscous_friction"])
-    return [likelihood.prepare_recording(replace(one, name=f"made {k}"), structure) for k in range(count)]
+    return [prepared_recording.prepare_recording(replace(one, name=f"made {k}"), structure) for k in range(count)]
 
 
 def test_only_what_such_recordings_can_show_is_offered() -> None:
@@ -75,9 +77,9 @@ def test_held_and_rounded_readings_do_not_run_away_with_the_noise_density() -> N
     seen = np.repeat(np.round(speed[::10] / 4.0) * 4.0, 10)
     one = Recording("held", time, np.full(len(time), 10.0), seen, "%", "rad/s", resolution=4.0)
     structure = Structure.of(["inertia", "viscous_friction"])
-    case = likelihood.prepare_recording(one, structure)
-    found = likelihood.most_likely_process_noise([case], structure, {"input_gain": 50.0, "viscous_friction": 5.0})
-    assert found <= likelihood.process_noise_of(case, 4.9 * case.step)
+    case = prepared_recording.prepare_recording(one, structure)
+    found = optimizer.most_likely_process_noise([case], structure, {"input_gain": 50.0, "viscous_friction": 5.0})
+    assert found <= filter_memory.process_noise_of(case, 4.9 * case.step)
 
 
 def test_one_sensor_has_one_noise_however_quick_the_motion() -> None:
@@ -86,7 +88,7 @@ def test_one_sensor_has_one_noise_however_quick_the_motion() -> None:
     runs = [np.round(swing * np.sin(20.0 * time) / count) * count for swing in (0.02, 2.0)]
     recordings = [Recording("run", time, np.cos(time), y, "%", "rad", resolution=count) for y in runs]
     structure = Structure.of(["inertia", "viscous_friction"])
-    alone = [likelihood.prepare_recording(r, structure).reading_variance for r in recordings]
+    alone = [prepared_recording.prepare_recording(r, structure).reading_variance for r in recordings]
     assert alone[1] > 10.0 * alone[0]
     together = preparation.prepare_recordings(recordings, structure)
     assert [c.reading_variance for c in together] == pytest.approx([count**2 / 12.0] * 2, rel=0.5)
@@ -104,7 +106,7 @@ def test_the_floor_of_a_changed_friction_is_what_an_exact_model_errs() -> None:
     def made(role: str, friction: float) -> Recording:
         asked = Recording("made", time, time, 0.1 + 0.0 * time, "V", "m", role=role, loop=loop,
                           optional={"reference": reference})  # fmt: skip
-        case = likelihood.prepare_recording(asked, structure, closed=True)
+        case = prepared_recording.prepare_recording(asked, structure, closed=True)
         p = kernel.vector(structure, {**truth, "coulomb_friction": friction})
         run = kernel.predict(case.drive, p, kernel.start_state(0.1, 0.0, 0.0), keep_states=True)
         wish = loop.kv * (loop.kp * (reference - run.reading) - run.states[:, 1])

@@ -10,8 +10,8 @@ import pytest
 from scipy.linalg import expm
 
 from twin.effects.catalogue import BASE
-from twin.estimation import likelihood
-from twin.estimation.likelihood import PreparedRecording
+from twin.estimation import filter_memory, likelihood, optimizer, prepared_recording
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import STATES, Structure
 from twin.simulation import kernel
@@ -37,11 +37,11 @@ def made(speed: bool = False, shaken: float = 0.0, duration: float = 12.0) -> Pr
     blank = Recording("made", STEP * np.arange(count), duty + unknown, np.zeros(count), "%", unit, COUNT)
     p = kernel.vector(STRUCTURE, VALUES)
     read = kernel.predict(
-        likelihood.prepare_recording(blank, STRUCTURE).drive, p, kernel.start_state(0.0, 0.0, 0.0)
+        prepared_recording.prepare_recording(blank, STRUCTURE).drive, p, kernel.start_state(0.0, 0.0, 0.0)
     ).reading
     read = COUNT * np.round(read / COUNT)
     read[count // 2 : count // 2 + 40] = np.nan
-    return likelihood.prepare_recording(replace(blank, input=duty, output=read), STRUCTURE)
+    return prepared_recording.prepare_recording(replace(blank, input=duty, output=read), STRUCTURE)
 
 
 def van_loan(friction: float, link: float, motor: float) -> tuple[np.ndarray, np.ndarray]:
@@ -92,7 +92,7 @@ def test_slopes_of_the_filtered_reading_are_differences(silence: float) -> None:
     case = made()
     x, noise = (
         kernel.start_state(*case.start, 0.0),
-        likelihood.filter_noise(case, likelihood.process_noise_of(case, 0.05)),
+        filter_memory.filter_noise(case, filter_memory.process_noise_of(case, 0.05)),
     )
     noise = replace(noise, silence=silence)
     names = ("input_gain", "dead_band_forward")
@@ -119,7 +119,7 @@ def test_after_a_silence_the_filter_begins_anew_where_it_reads_the_axis(speed: b
     measured = case.drive.measured.copy()
     measured[back - 400 : back] = np.nan
     measured[back:] += 0.7
-    noise = replace(likelihood.filter_noise(case, likelihood.process_noise_of(case, 0.05)), silence=silence)
+    noise = replace(filter_memory.filter_noise(case, filter_memory.process_noise_of(case, 0.05)), silence=silence)
     p, x = kernel.vector(STRUCTURE, VALUES), kernel.start_state(*case.start, 0.0)
     run = kernel.predict(replace(case.drive, measured=measured), p, x, noise, True)
     assert np.flatnonzero(np.isnan(run.reading)).tolist() == [back]
@@ -142,7 +142,7 @@ def test_after_a_silence_the_filter_begins_anew_where_it_reads_the_axis(speed: b
 def test_noise_is_found_as_strong_as_it_is_in_a_loose_gap() -> None:
     shaken = 1.0
     case = made(shaken=shaken, duration=30.0)
-    found = likelihood.most_likely_process_noise([case], STRUCTURE, VALUES)
+    found = optimizer.most_likely_process_noise([case], STRUCTURE, VALUES)
     planted = (VALUES["input_gain"] * shaken) ** 2 * STEP / case.reading_variance
     assert 0.3 < found / planted < 3.0
     point = likelihood.evaluate([case], STRUCTURE, VALUES, found, FREE)
@@ -164,7 +164,7 @@ def test_without_noise_nothing_is_corrected() -> None:
 def test_a_link_that_weighs_nothing_is_not_followed_without_memory() -> None:
     """In the gap the filter knows of the link what it knows where motor and link are one, however light it is."""
     case = made()
-    noise = likelihood.filter_noise(case, likelihood.process_noise_of(case, 0.1))
+    noise = filter_memory.filter_noise(case, filter_memory.process_noise_of(case, 0.1))
     start = kernel.start_state(*case.start, 0.0)
     loose = kernel.predict(case.drive, kernel.vector(STRUCTURE, {**VALUES, "motor_share": 0.98}), start, noise, True)
     rigid = Structure.of([i for i in BASE if i != "backlash"])

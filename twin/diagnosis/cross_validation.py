@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from scipy.stats import wilcoxon
 
 from twin.diagnosis import thresholds
-from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import likelihood, optimizer, preparation
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.parallel import each
 
 FloatArray = NDArray[np.float64]
@@ -49,7 +50,7 @@ def block_gains(cases: Sequence[PreparedRecording], smaller: Fit, larger: Fit) -
         mine = preparation.with_internal_step(fitted, larger.structure)
         # Where names gave way to fewer there may be nothing of its own.
         found = (
-            likelihood.levenberg_marquardt(mine, larger.structure, larger.values, larger.process_noise, own)
+            optimizer.levenberg_marquardt(mine, larger.structure, larger.values, larger.process_noise, own)
             if own
             else larger
         )

@@ -28,8 +28,9 @@ from twin.diagnosis import (
 from twin.diagnosis.plausibility import is_plausible
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.effects.knots import spots, through
-from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import optimizer, preparation
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.model import equations
 from twin.model.stepper import Structure
 from twin.parallel import each
@@ -91,7 +92,7 @@ def _drop_idle_names(cases: Sequence[PreparedRecording], first: Structure, curve
         values = preparation.complete_values(structure, curve.values)
         free = tuple(n for n in curve.free if n in values)
         mine = preparation.with_internal_step(cases, structure)
-        less = likelihood.levenberg_marquardt(mine, structure, values, curve.process_noise, free)
+        less = optimizer.levenberg_marquardt(mine, structure, values, curve.process_noise, free)
         if not model_comparison.is_significant(less, curve):
             curve = less
     return curve

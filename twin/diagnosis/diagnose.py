@@ -30,8 +30,9 @@ from twin.diagnosis.plausibility import is_plausible
 from twin.diagnosis.result import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN, pages
 from twin.errors import BadInput
-from twin.estimation import likelihood, local_optima, maximum_likelihood, multistart, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import likelihood, local_optima, maximum_likelihood, multistart, optimizer, preparation
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.io.position_loop import own_loop
 from twin.io.recording import Recording, to_fit
 from twin.model.fitted_model import Model
@@ -269,7 +270,7 @@ def _fit_names_beside_curve(found: SearchResult, nameless: Fit) -> Fit:
     nothing = {p.name: p.neutral for p in new if p.neutral is not None}
     mine, kept = preparation.with_internal_step(found.cases, both), [n for n in last.free if n not in first.free]
     begun = preparation.complete_values(both, {**last.values, **nameless.values, **nothing})
-    return likelihood.levenberg_marquardt(
+    return optimizer.levenberg_marquardt(
         mine, both, begun, nameless.process_noise, tuple(dict.fromkeys((*nameless.free, *kept)))
     )
 

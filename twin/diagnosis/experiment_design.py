@@ -39,8 +39,9 @@ from twin.diagnosis.result import Experiment
 from twin.effects import knots
 from twin.effects.catalogue import EFFECTS
 from twin.errors import BadInput
-from twin.estimation import likelihood
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import likelihood, prepared_recording
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import EVERYTHING, Structure
 from twin.simulation import kernel
@@ -367,7 +368,7 @@ def _case(
         "experiment", time, command, output, bench.template.input_unit, bench.template.output_unit,
         known=bench.template.known,
     )  # fmt: skip
-    case = likelihood.prepare_recording(made, structure)
+    case = prepared_recording.prepare_recording(made, structure)
     drive = replace(case.drive, longest=bench.contact_step)
     return replace(case, drive=drive, reading_variance=bench.reading_variance)
 

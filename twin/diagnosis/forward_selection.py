@@ -14,8 +14,16 @@ from twin.diagnosis.plausibility import is_plausible
 from twin.diagnosis.selection_round import Hypothesis, Round
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.effects.end_stop import NOWHERE
-from twin.estimation import contact_masking, likelihood, local_optima, multistart, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import (
+    contact_masking,
+    local_optima,
+    multistart,
+    optimizer,
+    parameter_bounds,
+    preparation,
+)
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 from twin.parallel import each
@@ -137,7 +145,7 @@ def _without_unmet_stops(cases: Sequence[PreparedRecording], last: Fit) -> Fit:
         if stop in last.free:
             free = tuple(n for n in last.free if n != stop)
             fits.append(
-                likelihood.levenberg_marquardt(
+                optimizer.levenberg_marquardt(
                     mine, last.structure, {**last.values, stop: far}, last.process_noise, free
                 )
             )
@@ -390,8 +398,8 @@ def _containing_alternatives(
             preparation.complete_values(longer, last.values) | dict(held),
         )
         starts = [known | {more.gain: s * size} for s in (1.0, -1.0) if more.gain not in held]
-        allowed = filter(likelihood.within_bounds, starts)
-        climb = partial(likelihood.levenberg_marquardt, mine, longer, process_noise=last.process_noise, free=last.free)
+        allowed = filter(parameter_bounds.within_bounds, starts)
+        climb = partial(optimizer.levenberg_marquardt, mine, longer, process_noise=last.process_noise, free=last.free)
         fits = each(climb, allowed)
         for h in _overtaking_fits(rounds, effect, other):
             share = h.values[more.gain] / max(h.values[own.gain], 1e-300)
@@ -451,7 +459,7 @@ def _offset_for_dead_bands(
     rows = screening.with_gap_sides([equal], last.structure, last.values, "constant_offset")
     free = (*last.free, *(n for n in rows[0] if n not in equal))
     # The torque is held where it levels the dead-bands; they stay about equal unless something else makes up for it.
-    fits = each(lambda row: likelihood.levenberg_marquardt(mine, longer, begun | row, last.process_noise, free), rows)
+    fits = each(lambda row: optimizer.levenberg_marquardt(mine, longer, begun | row, last.process_noise, free), rows)
     found = min(fits, key=lambda p: p.deviance)
     level = abs(found.values[sides[1]] - found.values[sides[0]]) < 0.5 * abs(differ)
     stands = level and model_comparison.criterion_difference(last, found) < thresholds.UNDECIDED_MARGIN
@@ -485,7 +493,7 @@ def _fit_at_best_noise(cases: Sequence[PreparedRecording], point: Fit) -> tuple[
     what the model foresees there.
     """
     mine = preparation.with_internal_step(cases, point.structure)
-    found = likelihood.fit_with_process_noise(mine, point.structure, point.values, point.free, point.process_noise)
+    found = optimizer.fit_with_process_noise(mine, point.structure, point.values, point.free, point.process_noise)
     for _ in range(thresholds.MAX_MASK_UPDATES):
         mine, found = multistart.refit_with_contact_mask(mine, found)
     return mine, found

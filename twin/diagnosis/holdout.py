@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from twin.diagnosis import nonparametric, residual_torque, thresholds
 from twin.diagnosis.residual_torque import MissingTorque
 from twin.diagnosis.result import Trace
-from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import likelihood, preparation, prepared_recording
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.fmi import python_fmu
 from twin.io.position_loop import own_loop
 from twin.io.recording import Recording, to_fit
@@ -104,7 +105,7 @@ def simulate_recording(model: Model, recording: Recording, closed: bool = False)
     """What the sensor reads (N,) over the whole recording, free from its start or, `closed`, under the rig's own loop,
     by the kernel. Raises BadInput where that loop is not known.
     """
-    case = likelihood.prepare_recording(recording, model.structure, closed)
+    case = prepared_recording.prepare_recording(recording, model.structure, closed)
     (case,) = preparation.with_internal_step([replace(case, start=python_fmu.start_of(recording))], model.structure)
     seen = likelihood.filtered_states(case, model.structure, model.values, 0.0).reading
     return seen[own_loop(recording).stamps] if closed else seen

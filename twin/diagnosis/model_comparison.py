@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from twin.diagnosis import thresholds
-from twin.estimation.likelihood import Fit
+from twin.estimation.fit import Fit
 
 FloatArray = NDArray[np.float64]
 

@@ -23,8 +23,9 @@ from twin.diagnosis import residual_torque, thresholds
 from twin.diagnosis.residual_torque import MissingTorque
 from twin.effects.catalogue import EFFECTS, pages
 from twin.effects.knots import KNOTS, names, slopes, spots, through
-from twin.estimation import likelihood, local_optima, multistart, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import likelihood, local_optima, multistart, optimizer, preparation
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.model.stepper import Structure
 from twin.parallel import each
 
@@ -427,9 +428,7 @@ def sketch_with_memory(cases: Sequence[PreparedRecording], base: Fit, term: Curv
     mine, free = preparation.with_internal_step(cases, structure), (*base.free, size)
 
     def climbed(values: Mapping[str, float], free: tuple[str, ...]) -> Fit:
-        return likelihood.levenberg_marquardt(
-            mine, structure, values, base.process_noise, free, rounds=5, tolerance=1.0
-        )
+        return optimizer.levenberg_marquardt(mine, structure, values, base.process_noise, free, rounds=5, tolerance=1.0)
 
     trials = each(lambda start: climbed({**base.values, size: 0.0, **start}, free), starts)
     return climbed(min(trials, key=lambda p: p.deviance).values, (*free, *others))
@@ -452,7 +451,7 @@ def sketch_curve(cases: Sequence[PreparedRecording], base: Fit, term: CurveTerm)
         values = _interpolate_unseen_knots(values, f"unknown_{kind}", free)
     # Gap and teeth stay where they are until it is finished: a run has room for the slopes of all others.
     few = tuple(n for n in free if n not in multistart.MULTIMODAL)
-    values = likelihood.levenberg_marquardt(
+    values = optimizer.levenberg_marquardt(
         mine, structure, values, base.process_noise, few, rounds=5, tolerance=1.0
     ).values
     if kind not in _WAVE_KINDS:
@@ -474,7 +473,7 @@ def first_wave_only(sketched: Fit) -> Fit:
 def fit_curve(cases: Sequence[PreparedRecording], sketched: Fit) -> Fit:
     """The maximum from a sketch."""
     mine = preparation.with_internal_step(cases, sketched.structure)
-    return likelihood.levenberg_marquardt(
+    return optimizer.levenberg_marquardt(
         mine, sketched.structure, sketched.values, sketched.process_noise, sketched.free
     )
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.diagnosis import thresholds
-from twin.estimation import likelihood
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import parameter_bounds
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 
 Rule = Callable[[Sequence[PreparedRecording], Mapping[str, float]], bool]
 
@@ -55,7 +56,7 @@ def _spring(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> 
 
 def _joint(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """There is a motor on its one side, something on the other, and they swing."""
-    least, most = likelihood.bounds_of("motor_share")
+    least, most = parameter_bounds.bounds_of("motor_share")
     return (
         1.5 * least < values["motor_share"] < 1.0 - 1.5 * (1.0 - most)
         and values["joint_damping"] < thresholds.MAX_DAMPING_RATIO
@@ -67,7 +68,7 @@ def _stribeck(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -
     were it pushed by as much as it is held, moves by a count before it has fallen: every dry contact gives by as much,
     and what its bristles do to a reversal looks like friction that is many times as large at rest.
     """
-    least, _ = likelihood.bounds_of("stribeck_velocity")
+    least, _ = parameter_bounds.bounds_of("stribeck_velocity")
     speed, held = values["stribeck_velocity"], values["coulomb_friction"] + values["stribeck_friction"]
     told = min(c.recording.resolution / (1.0 if c.drive.speed else thresholds.CREEP_TIME) for c in cases)
     count = min((c.recording.resolution for c in cases if not c.drive.speed), default=0.0)
@@ -126,8 +127,8 @@ def _presliding(cases: Sequence[PreparedRecording], values: Mapping[str, float])
 
 def _flexible_load(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """It is held loosely enough to be left behind: what is not is inertia of the link."""
-    _, stiffest = likelihood.bounds_of("unknown_swing_stiffness")
-    _, most = likelihood.bounds_of("unknown_swing_damping")
+    _, stiffest = parameter_bounds.bounds_of("unknown_swing_stiffness")
+    _, most = parameter_bounds.bounds_of("unknown_swing_damping")
     return values["unknown_swing_stiffness"] < stiffest / 1.5 and values["unknown_swing_damping"] < most / 1.5
 
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.estimation import likelihood
-from twin.estimation.likelihood import PreparedRecording
+from twin.estimation import filter_memory, likelihood
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.model.stepper import Structure
 
 FloatArray = NDArray[np.float64]
@@ -128,7 +128,7 @@ def missing_torque(
     """Read the missing torque off the corrections of a filter with the given memory, s."""
     step = float(np.median(np.diff(case.drive.time)))
     memory = max(memory, 4.0 * step)
-    run = likelihood.filtered_states(case, structure, values, likelihood.process_noise_of(case, memory))
+    run = likelihood.filtered_states(case, structure, values, filter_memory.process_noise_of(case, memory))
     error = case.drive.measured - run.reading
     interval = np.diff(case.drive.time, append=case.drive.time[-1] + step)
     raw = run.pull * error / interval

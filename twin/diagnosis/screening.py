@@ -22,8 +22,9 @@ from twin.diagnosis import residual_torque
 from twin.diagnosis.residual_torque import MissingTorque
 from twin.diagnosis.thresholds import MIN_REPEATS
 from twin.effects.catalogue import CANDIDATES, EFFECTS, pages
-from twin.estimation import likelihood, multistart, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import likelihood, multistart, numerics, optimizer, parameter_bounds, preparation
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.model.stepper import Structure
 from twin.parallel import each
 
@@ -115,7 +116,9 @@ def trial_grids(
     rates = _spectral_lines(missing.time, [missing.torque], _RATES_PER_LINE * end, slowest, fastest)
     out["periodic_disturbance"] = [{"disturbance_frequency": r / _TURN} for r in rates]
     heats = _heating_command(missing, values, span)
-    fades = dict.fromkeys(np.clip([0.15 * end, 0.5 * end, 1.5 * end], *likelihood.bounds_of("fade_time")).tolist())
+    fades = dict.fromkeys(
+        np.clip([0.15 * end, 0.5 * end, 1.5 * end], *parameter_bounds.bounds_of("fade_time")).tolist()
+    )
     out["thermal_fade"] = [{"fade_time": t, "fade_reference": heats} for t in fades]
     out["supply_sag"] = [{**row, "sag_reference": span} for row in out["supply_sag"]]
     out["load_change"] = [{"load_time": f * end} for f in np.linspace(0.1, 0.9, 9)]
@@ -240,8 +243,8 @@ def _score_test(base: Fit, point: Fit, news: Sequence[str]) -> tuple[FloatArray,
     size = np.sqrt(np.maximum(np.diag(point.information), 1e-300))[index]
     g = point.gradient[index] / size
     block = point.information[np.ix_(index, index)] / np.outer(size, size) + 1e-9 * np.eye(len(index))
-    ahead = likelihood.least_squares_solution(block, g)
-    without = likelihood.least_squares_solution(block[:old, :old], g[:old])
+    ahead = numerics.least_squares_solution(block, g)
+    without = numerics.least_squares_solution(block[:old, :old], g[:old])
     step = np.zeros(len(moves))
     step[moves] = ahead / size
     return step, max(float(g @ ahead - g[:old] @ without), 0.0)
@@ -322,7 +325,7 @@ def _score_start(base: Fit, point: Fit, row: _Trial) -> ScoreStart:
 
 def clipped_to_bounds(values: Mapping[str, float]) -> dict[str, float]:
     """Values moved inside their parameters' bounds."""
-    bounds = {n: likelihood.bounds_of(n) for n in values}
+    bounds = {n: parameter_bounds.bounds_of(n) for n in values}
     return {n: float(min(max(v, bounds[n][0]), bounds[n][1])) for n, v in values.items()}
 
 
@@ -331,7 +334,7 @@ def _promised_gain(point: Fit) -> float:
     size = np.sqrt(np.maximum(np.diag(point.information), 1e-300))
     a = point.information / np.outer(size, size) + 1e-6 * np.eye(len(size))
     g = point.gradient / size
-    return float(g @ likelihood.least_squares_solution(a, g))
+    return float(g @ numerics.least_squares_solution(a, g))
 
 
 def _direct_start(
@@ -356,10 +359,10 @@ def _direct_start(
     rest = [place for place in places if place not in first.values()]
     near = [*first.values(), *rest[: max(_MAX_CLOSE_STARTS - len(first), 0)]]
     points = [
-        likelihood.levenberg_marquardt(seen, structure, v, base.process_noise, free, rounds=_FIRST_STEPS, tolerance=1.0)
+        optimizer.levenberg_marquardt(seen, structure, v, base.process_noise, free, rounds=_FIRST_STEPS, tolerance=1.0)
         for v in near
     ]
-    best = likelihood.levenberg_marquardt_from(
+    best = optimizer.levenberg_marquardt_from(
         seen, min(points, key=lambda p: p.deviance), rounds=_MORE_STEPS, tolerance=1.0
     )
     found = likelihood.evaluate(cases, structure, best.values, base.process_noise, free)

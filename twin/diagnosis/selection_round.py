@@ -29,8 +29,17 @@ from twin.diagnosis import model_comparison, screening, thresholds, torque_regre
 from twin.diagnosis.plausibility import is_plausible
 from twin.diagnosis.screening import Candidate
 from twin.effects.catalogue import EFFECTS
-from twin.estimation import contact_masking, likelihood, local_optima, maximum_likelihood, multistart, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import (
+    contact_masking,
+    filter_memory,
+    local_optima,
+    maximum_likelihood,
+    multistart,
+    optimizer,
+    preparation,
+)
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.model.stepper import Structure
 from twin.parallel import each
 
@@ -55,7 +64,7 @@ class Hypothesis:
 def _short_fit(cases: Sequence[PreparedRecording], base: Fit, entry: Candidate) -> Hypothesis:
     mine = preparation.with_internal_step(cases, entry.structure)
     begun = screening.most_likely_values(mine, entry.structure, entry.places, base.process_noise)
-    found = likelihood.levenberg_marquardt(
+    found = optimizer.levenberg_marquardt(
         mine, entry.structure, begun, base.process_noise, entry.free, rounds=6, tolerance=1.0
     )
     return Hypothesis((entry.effect,), found)
@@ -127,14 +136,14 @@ def _confirmed_at_foreseeable_contacts(cases: Sequence[PreparedRecording], befor
 
 def _confirmed_by_short_memories(cases: Sequence[PreparedRecording], before: Fit, after: Fit) -> bool:
     """Whether the larger model is preferred by filters that forget faster, as far as they can know."""
-    memory = likelihood.memory_of(cases[0], before.process_noise)
+    memory = filter_memory.memory_of(cases[0], before.process_noise)
     smaller, larger, least = before, after, 0.0
     for shorter in (memory / times for times in thresholds.MEMORY_DIVISORS):
         gain, unit = smaller.deviance - larger.deviance, model_comparison.overdispersion([smaller, larger])
         if shorter < thresholds.SHORTEST_MEMORY or (unit < thresholds.WHITE_OVERDISPERSION and gain >= least):
             break
         least, sure = thresholds.GAIN_KEPT_AT_HALF_MEMORY * gain, gain > thresholds.CLEAR_GAIN * unit
-        smaller, larger = _refit_both(cases, before, after, likelihood.process_noise_of(cases[0], shorter))
+        smaller, larger = _refit_both(cases, before, after, filter_memory.process_noise_of(cases[0], shorter))
         if not _is_preferred(smaller, larger):
             too_little = least < thresholds.PENALTY_PER_PARAMETER * model_comparison.overdispersion([smaller, larger])
             return sure and too_little and larger.deviance <= smaller.deviance
@@ -152,7 +161,7 @@ def _refit_both(cases: Sequence[PreparedRecording], before: Fit, after: Fit, pro
     def adapted(point: Fit, values: Mapping[str, float]) -> Fit:
         mine = preparation.with_internal_step(cases, point.structure)
         begun = {n: values.get(n, v) for n, v in point.values.items()}
-        return likelihood.levenberg_marquardt(
+        return optimizer.levenberg_marquardt(
             mine, point.structure, begun, process_noise, point.free, rounds=20, tolerance=0.2
         )
 
@@ -375,13 +384,13 @@ def retry_with_long_memory(
     The round as it is where the filter remembers for as long as the recording asks for, and where nothing does so much
     more that the errors of a long memory cannot have done it.
     """
-    before, longer = this.before, likelihood.process_noise_of(cases[0], thresholds.LONG_MEMORY)
+    before, longer = this.before, filter_memory.process_noise_of(cases[0], thresholds.LONG_MEMORY)
     slow = [c for c in candidates if c in SLOW_EFFECTS]
     if this.won or not slow or before.process_noise <= longer:
         return this
     mine = preparation.with_internal_step(cases, before.structure)
     if (
-        likelihood.most_likely_process_noise(mine, before.structure, before.values, around=before.process_noise)
+        optimizer.most_likely_process_noise(mine, before.structure, before.values, around=before.process_noise)
         <= before.process_noise
     ):
         return this

@@ -18,7 +18,8 @@ from twin.diagnosis import residual_torque, screening, thresholds
 from twin.diagnosis.residual_torque import MissingTorque
 from twin.effects.catalogue import EFFECTS, pages
 from twin.estimation import likelihood, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.model import equations
 from twin.model.stepper import Structure
 

@@ -22,8 +22,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.estimation import likelihood
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import filter_memory, likelihood
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 
 #: Standard deviations of a meeting's moment, before and after it, in which nothing is judged.
 _CONTACT_DEVIATIONS = 2.0
@@ -59,7 +60,7 @@ def _unforeseeable_contacts(case: PreparedRecording, point: Fit) -> NDArray[np.b
     seen = (error > np.sqrt(variance)) & (unsure > case.step)
     moment, reach = time[last + 1][seen], _CONTACT_DEVIATIONS * unsure[seen]
     begin = np.searchsorted(time, moment - reach)
-    end = np.searchsorted(time, moment + reach + likelihood.memory_of(case, point.process_noise))
+    end = np.searchsorted(time, moment + reach + filter_memory.memory_of(case, point.process_noise))
     for i, j in zip(begin.tolist(), end.tolist(), strict=True):
         hidden[i:j] = True
     return hidden

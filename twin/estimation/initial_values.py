@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.estimation.likelihood import PreparedRecording
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.model.stepper import Structure
 
 FloatArray = NDArray[np.float64]

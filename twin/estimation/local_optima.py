@@ -10,8 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from twin.estimation import likelihood, multistart, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import filter_memory, multistart, optimizer, preparation
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.model.stepper import Structure
 from twin.parallel import each
 
@@ -23,7 +24,7 @@ PROCESS_NOISE_TOLERANCE = 1.5
 
 def judging_process_noise(cases: Sequence[PreparedRecording], point: Fit) -> float:
     """The noise density at which the first round is judged."""
-    return min(likelihood.process_noise_of(cases[0], MIN_MEMORY), point.process_noise)
+    return min(filter_memory.process_noise_of(cases[0], MIN_MEMORY), point.process_noise)
 
 
 def refit(
@@ -38,7 +39,7 @@ def refit(
     mine = preparation.with_internal_step(cases, structure)
     free = tuple(n for n in preparation.free_parameters(structure) if n not in held)
     full = preparation.complete_values(structure, values) | dict(held)
-    return likelihood.levenberg_marquardt(mine, structure, full, process_noise, free, tolerance=0.2)
+    return optimizer.levenberg_marquardt(mine, structure, full, process_noise, free, tolerance=0.2)
 
 
 def best_refit(
@@ -60,8 +61,8 @@ def held_values(point: Fit) -> dict[str, float]:
 def refit_at_own_noise(cases: Sequence[PreparedRecording], point: Fit, held: Mapping[str, float]) -> Fit:
     """The maximum at the noise density that the model asks for, now that it lacks less."""
     mine = preparation.with_internal_step(cases, point.structure)
-    likeliest = likelihood.most_likely_process_noise(mine, point.structure, point.values, around=point.process_noise)
-    process_noise = min(likelihood.process_noise_of(cases[0], MIN_MEMORY), likeliest, point.process_noise)
+    likeliest = optimizer.most_likely_process_noise(mine, point.structure, point.values, around=point.process_noise)
+    process_noise = min(filter_memory.process_noise_of(cases[0], MIN_MEMORY), likeliest, point.process_noise)
     if 1.0 / PROCESS_NOISE_TOLERANCE < process_noise / point.process_noise < PROCESS_NOISE_TOLERANCE:
         return point
     return refit(cases, point.structure, point.values, held, process_noise)
@@ -104,7 +105,7 @@ def restart_gap(cases: Sequence[PreparedRecording], point: Fit, held: Mapping[st
 def refit_through_best_noise(cases: Sequence[PreparedRecording], point: Fit, held: Mapping[str, float]) -> Fit:
     """The point, or a better one by way of the noise density that the recording asks for, where valleys are wider."""
     mine = preparation.with_internal_step(cases, point.structure)
-    likeliest = likelihood.fit_with_process_noise(
+    likeliest = optimizer.fit_with_process_noise(
         mine, point.structure, point.values, point.free, point.process_noise, rounds=12
     )
     other = refit(cases, point.structure, likeliest.values, held, point.process_noise)
@@ -114,10 +115,8 @@ def refit_through_best_noise(cases: Sequence[PreparedRecording], point: Fit, hel
 def with_longer_memory(cases: Sequence[PreparedRecording], point: Fit) -> Fit:
     """The point, with a longer memory where the recording asks for one: the model then is right for longer."""
     mine = preparation.with_internal_step(cases, point.structure)
-    process_noise = likelihood.most_likely_process_noise(
-        mine, point.structure, point.values, around=point.process_noise
-    )
+    process_noise = optimizer.most_likely_process_noise(mine, point.structure, point.values, around=point.process_noise)
     if process_noise > 0.8 * point.process_noise:
         return point
-    found = likelihood.fit_with_process_noise(mine, point.structure, point.values, point.free, process_noise)
+    found = optimizer.fit_with_process_noise(mine, point.structure, point.values, point.free, process_noise)
     return found if found.process_noise < point.process_noise else point

@@ -1,7 +1,7 @@
 """Joint maximum likelihood: all parameters from whole recordings, gap crossings included, and how well they are known.
 
 Steady driving shows only the sum of dead-band and dry friction, and nothing of the gap; the samples after each
-reversal, the coast-downs and the plugging separate them (effects.md). So nothing is cut away. `ascent` finds the
+reversal, the coast-downs and the plugging separate them (effects.md). So nothing is cut away. `multistart` finds the
 maximum; here are the standard errors, the intervals of what is bounded or kinked, and what a recording cannot fix.
 """
 
@@ -15,8 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.errors import BadInput
-from twin.estimation import likelihood, multistart, preparation
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation import (
+    filter_memory,
+    likelihood,
+    likelihood_profile,
+    multistart,
+    optimizer,
+    parameter_bounds,
+    preparation,
+)
+from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.io.recording import Recording, known_quantities, to_fit, told_of
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
@@ -146,16 +155,16 @@ def for_horizon(model: Model, recordings: Sequence[Recording], horizon: float, c
     goal = windows(longest)
     best = likelihood.evaluate(goal, structure, model.values, process_noise, model.fitted)
     values: Mapping[str, float] = model.values
-    span = 2.0 * max(likelihood.memory_of(c, process_noise) for c in cases)
+    span = 2.0 * max(filter_memory.memory_of(c, process_noise) for c in cases)
     while span < longest:
-        values = likelihood.levenberg_marquardt(
+        values = optimizer.levenberg_marquardt(
             windows(span), structure, values, process_noise, model.fitted, rounds=15
         ).values
         trial = likelihood.evaluate(goal, structure, values, process_noise, model.fitted)
         best = min(best, trial, key=deviance)
         span *= 2.0
     for begin in (values, best.values):
-        trial = likelihood.levenberg_marquardt(goal, structure, begin, process_noise, model.fitted)
+        trial = optimizer.levenberg_marquardt(goal, structure, begin, process_noise, model.fitted)
         best = min(best, trial, key=deviance)
     # Errors of one run hang together: stretches as long as the run, but several for every parameter.
     whole = sum(float(c.drive.time[-1]) for c in cases)
@@ -175,13 +184,13 @@ def _profile_intervals(cases: Sequence[PreparedRecording], point: Fit, model: Mo
     """95 % intervals of the parameters for which a standard error is not enough."""
     powers = {"backlash_gap": multistart.RIDGE_POWERS}
     names = [n for n in PROFILED if n in point.free]
-    ends = each(lambda n: likelihood.profile_interval(cases, point, n, model.std(n), powers.get(n, {})), names)
+    ends = each(lambda n: likelihood_profile.profile_interval(cases, point, n, model.std(n), powers.get(n, {})), names)
     found = dict(zip(names, ends, strict=True))
     if {"backlash_gap", "motor_share"} <= set(point.free) and math.isfinite(model.std("motor_share")):
         # Along the ridge the motor's share goes with the gap, and so it is no better known.
         share, wide = point.values["motor_share"], 1.96 * model.std("motor_share")
         lighter, heavier = (share * point.values["backlash_gap"] / max(g, 1e-9) for g in found["backlash_gap"][::-1])
-        low, high = likelihood.bounds_of("motor_share")
+        low, high = parameter_bounds.bounds_of("motor_share")
         found["motor_share"] = (max(min(share - wide, lighter), low), min(max(share + wide, heavier), high))
     return found
 

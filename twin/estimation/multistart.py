@@ -19,9 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
-from twin.estimation import contact_masking, likelihood, preparation
+from twin.estimation import (
+    contact_masking,
+    filter_memory,
+    likelihood,
+    numerics,
+    optimizer,
+    parameter_bounds,
+    preparation,
+)
+from twin.estimation.fit import Fit
 from twin.estimation.initial_values import start_values
-from twin.estimation.likelihood import Fit, PreparedRecording
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.io.recording import Recording
 from twin.model import equations
 from twin.model.stepper import Structure
@@ -87,20 +96,18 @@ def coarse_fit(
     memory: float,
 ) -> Fit:
     """A point in the right valley, by steps (1) and (2), for contact without compliance and a filter's memory (s)."""
-    process_noise = likelihood.process_noise_of(cases[0], memory)
+    process_noise = filter_memory.process_noise_of(cases[0], memory)
     rigid = structure.without("tooth_compliance")
     free = tuple(n for n in preparation.free_parameters(rigid) if n not in held)
     core = tuple(n for n in free if n not in _COARSE_GRID)
-    point = likelihood.levenberg_marquardt(cases, rigid, values, process_noise, core, rounds=12, tolerance=1.0)
+    point = optimizer.levenberg_marquardt(cases, rigid, values, process_noise, core, rounds=12, tolerance=1.0)
     grid = {n: v for n, v in _in_axis_units(_COARSE_GRID, cases).items() if n in free}
     if not grid:
         return point
     best = point
     for begin in _grid_search(cases, rigid, point.values, process_noise, grid, keep=2):
-        trial = likelihood.levenberg_marquardt(cases, rigid, begin, process_noise, core, rounds=4, tolerance=1.0)
-        trial = likelihood.levenberg_marquardt(
-            cases, rigid, trial.values, process_noise, free, rounds=15, tolerance=1.0
-        )
+        trial = optimizer.levenberg_marquardt(cases, rigid, begin, process_noise, core, rounds=4, tolerance=1.0)
+        trial = optimizer.levenberg_marquardt(cases, rigid, trial.values, process_noise, free, rounds=15, tolerance=1.0)
         if trial.deviance < best.deviance:
             best = trial
     return best
@@ -142,7 +149,7 @@ def choose_initial_contacts(
             case, structure, 0.0, min(max(_CONTACT_DURATION, shown), float(case.recording.time[-1]))
         )
         first = replace(first, start_mask=None)
-        process_noise = likelihood.process_noise_of(first, COARSE_MEMORIES[0])
+        process_noise = filter_memory.process_noise_of(first, COARSE_MEMORIES[0])
         scored = [
             (likelihood.evaluate([replace(first, contact=s)], structure, values, process_noise).deviance, s)
             for s in (case.contact, *_CONTACT_GRID)
@@ -165,7 +172,7 @@ def coarse_starts(
 
 def _shortest_memory(cases: Sequence[PreparedRecording]) -> float:
     """The memory of the filter from which on it is lengthened, s."""
-    return max(_SHORTEST_MEMORY, *(likelihood.memory_of(c, likelihood.largest_process_noise([c])) for c in cases))
+    return max(_SHORTEST_MEMORY, *(filter_memory.memory_of(c, filter_memory.largest_process_noise([c])) for c in cases))
 
 
 def _fit_by_lengthening_memory(
@@ -181,9 +188,9 @@ def _fit_by_lengthening_memory(
     points: list[Fit] = []
     for rung in range(_MAX_LENGTHENINGS):
         memory = shortest * 2.0 ** (0.5 * rung)
-        process_noise = likelihood.process_noise_of(cases[0], memory)
+        process_noise = filter_memory.process_noise_of(cases[0], memory)
         points.append(
-            likelihood.levenberg_marquardt(cases, structure, values, process_noise, free, rounds=15, tolerance=1.0)
+            optimizer.levenberg_marquardt(cases, structure, values, process_noise, free, rounds=15, tolerance=1.0)
         )
         values = points[-1].values
         if memory > _RINGING_TIME and min(p.deviance for p in points) < min(p.deviance for p in points[-2:]):
@@ -203,8 +210,8 @@ def _evolved_starts(cases: Sequence[PreparedRecording], point: Fit) -> list[dict
     if len(names) < 2:
         return []
     seen = excerpts(cases, point.structure)
-    process_noise = likelihood.process_noise_of(
-        seen[0], max(_EVOLUTION_MEMORY, likelihood.memory_of(seen[0], likelihood.largest_process_noise(seen)))
+    process_noise = filter_memory.process_noise_of(
+        seen[0], max(_EVOLUTION_MEMORY, filter_memory.memory_of(seen[0], filter_memory.largest_process_noise(seen)))
     )
 
     def valued(x: NDArray[np.float64]) -> dict[str, float]:
@@ -233,7 +240,7 @@ def _evolved_starts(cases: Sequence[PreparedRecording], point: Fit) -> list[dict
 
 def _at_bounds(point: Fit) -> bool:
     """Whether gap, shares or teeth lie at an end of what they may be."""
-    bounds = {n: likelihood.bounds_of(n) for n in _EVOLUTION_RANGES if n in point.free}
+    bounds = {n: parameter_bounds.bounds_of(n) for n in _EVOLUTION_RANGES if n in point.free}
     return any(point.values[n] in pair for n, pair in bounds.items())
 
 
@@ -261,14 +268,14 @@ def fit_from_starts(
 
     best = likeliest(preparation.complete_values(structure, p.values) for p in begun)
     # Where the shortest memory is the best that there is, it is physics that is missing, not the right valley.
-    remembers = likelihood.memory_of(seen[0], best.process_noise) > 1.1 * _shortest_memory(seen)
+    remembers = filter_memory.memory_of(seen[0], best.process_noise) > 1.1 * _shortest_memory(seen)
     if (
         remembers
         and (best.overdispersion > _ROUGH_OVERDISPERSION or _at_bounds(best))
         and (bred := _evolved_starts(mine, best))
     ):
         best = min(best, likeliest(bred), key=lambda p: p.deviance)
-    return likelihood.fit_with_process_noise(mine, structure, best.values, free, best.process_noise)
+    return optimizer.fit_with_process_noise(mine, structure, best.values, free, best.process_noise)
 
 
 def _dead_band_ridge(cases: Sequence[PreparedRecording], point: Fit) -> list[dict[str, float]]:
@@ -278,7 +285,7 @@ def _dead_band_ridge(cases: Sequence[PreparedRecording], point: Fit) -> list[dic
     if not all(n in point.free for n in (*_DEAD_BANDS, *_RIDGE_FOLLOWERS)):
         return []
     d, o = ([point.free.index(n) for n in names] for names in (_DEAD_BANDS, _RIDGE_FOLLOWERS))
-    follow = -likelihood.least_squares_solution(point.information[np.ix_(o, o)], point.information[np.ix_(o, d)]).sum(
+    follow = -numerics.least_squares_solution(point.information[np.ix_(o, o)], point.information[np.ix_(o, d)]).sum(
         axis=1
     )
     reach = 0.01 * max(float(np.max(np.abs(c.recording.input))) for c in cases)
@@ -301,7 +308,7 @@ def _gap_ridge(cases: Sequence[PreparedRecording], point: Fit) -> list[dict[str,
         {**point.values, **{n: point.values[n] * float(g) ** power for n, power in moving.items()}}
         for g in np.geomspace(0.5, 2.0, 25)
     ]
-    return [t for t in trials if likelihood.within_bounds(t)]
+    return [t for t in trials if parameter_bounds.within_bounds(t)]
 
 
 def _best_on_ridges(cases: Sequence[PreparedRecording], point: Fit) -> Fit:
@@ -314,9 +321,7 @@ def _best_on_ridges(cases: Sequence[PreparedRecording], point: Fit) -> Fit:
         found = likelihood.deviances(cases, best.structure, trials, best.process_noise)
         if min(found) < best.deviance + 10.0 * best.overdispersion:
             begin = trials[int(np.argmin(found))]
-            other = likelihood.levenberg_marquardt(
-                cases, best.structure, begin, best.process_noise, best.free, rounds=8
-            )
+            other = optimizer.levenberg_marquardt(cases, best.structure, begin, best.process_noise, best.free, rounds=8)
             best = min(best, other, key=lambda p: p.deviance)
     return best
 
@@ -330,7 +335,7 @@ def refit_with_contact_mask(
     judged = contact_masking.with_contact_mask(cases, point)
     if all(a.contact_mask is b.contact_mask for a, b in zip(judged, cases, strict=True)):
         return list(cases), point
-    return judged, likelihood.fit_with_process_noise(
+    return judged, optimizer.fit_with_process_noise(
         judged, point.structure, point.values, point.free, point.process_noise, most=most
     )
 
@@ -340,18 +345,18 @@ def leave_local_optima(cases: Sequence[PreparedRecording], point: Fit) -> tuple[
     foresees, the contact at the start, the ridge.
     """
     mine = preparation.with_internal_step(cases, point.structure)
-    if likelihood.is_misspecified(mine, point):
+    if optimizer.is_misspecified(mine, point):
         return mine, point
     mine, point = refit_with_contact_mask(mine, point)
     chosen = choose_initial_contacts(mine, point.structure, point.values)
     if [c.contact for c in chosen] != [c.contact for c in mine]:
         mine = chosen
-        point = likelihood.levenberg_marquardt(
+        point = optimizer.levenberg_marquardt(
             mine, point.structure, point.values, point.process_noise, point.free, rounds=15
         )
     for _ in range(2):
         other = _best_on_ridges(mine, point)
         if other.deviance > point.deviance - point.overdispersion:
             break
-        point = likelihood.fit_with_process_noise(mine, point.structure, other.values, point.free, point.process_noise)
+        point = optimizer.fit_with_process_noise(mine, point.structure, other.values, point.free, point.process_noise)
     return refit_with_contact_mask(mine, point)

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from twin.effects.catalogue import BASE
-from twin.estimation import contact_masking, likelihood
-from twin.estimation.likelihood import PreparedRecording
+from twin.estimation import contact_masking, parameter_bounds, prepared_recording
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -31,7 +31,7 @@ def _tooth_values_of_joint(values: Mapping[str, float]) -> dict[str, float]:
     """What stands for teeth in an elastic joint's values."""
     if "joint_frequency" not in values:
         return {}
-    softest, _ = likelihood.bounds_of("tooth_frequency")
+    softest, _ = parameter_bounds.bounds_of("tooth_frequency")
     return {"tooth_frequency": softest, "tooth_damping": values["joint_damping"]}
 
 
@@ -52,7 +52,7 @@ def prepare_recordings(
     One sensor read them all: where a quick motion between few or late stamps makes its readings look noisy, those of a
     slow one say how good they are.
     """
-    cases = [likelihood.prepare_recording(r, structure, closed) for r in recordings]
+    cases = [prepared_recording.prepare_recording(r, structure, closed) for r in recordings]
     least = min((c.reading_variance for c in cases), default=0.0)
     cases = [replace(c, reading_variance=least) for c in cases]
     if "backlash" not in structure:
@@ -72,7 +72,7 @@ def with_internal_step(cases: Sequence[PreparedRecording], structure: Structure)
 
 def excerpt(case: PreparedRecording, structure: Structure, begin: float, end: float) -> PreparedRecording:
     """What was recorded between two moments (s), read by the same sensor."""
-    cut = likelihood.prepare_recording(case.recording.part(begin, end), structure)
+    cut = prepared_recording.prepare_recording(case.recording.part(begin, end), structure)
     inside = (case.recording.time >= begin) & (case.recording.time <= end)
     rattling, beginning = (None if m is None else m[inside] for m in (case.rattle_mask, case.start_mask))
     return replace(cut, reading_variance=case.reading_variance, rattle_mask=rattling, start_mask=beginning)

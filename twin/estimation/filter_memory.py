@@ -1,0 +1,56 @@
+"""The process noise of the Kalman filter, and the memory that follows from it.
+
+The process noise is the density of a white torque noise over the variance of a reading, in 1/s^3 (positions) or 1/s
+(speeds). The larger it is, the sooner the filter forgets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.estimation.prepared_recording import PreparedRecording
+from twin.simulation import kernel
+from twin.simulation.kernel import Noise
+
+FloatArray = NDArray[np.float64]
+
+#: The filter weighs at least so many new readings: one that forgets faster follows the rounding of the last.
+MIN_READINGS_IN_MEMORY = 2.0
+
+
+def process_noise_of(case: PreparedRecording, memory: float) -> float:
+    """The noise density, in units of the reading's variance, at which the filter forgets after `memory` seconds."""
+    step = case.step
+    return step / memory**2 if case.drive.speed else step / memory**4
+
+
+def memory_of(case: PreparedRecording, process_noise: float) -> float:
+    """After how many seconds the filter forgets at a noise density; the inverse of `process_noise_of`."""
+    return float((case.step / process_noise) ** (0.5 if case.drive.speed else 0.25))
+
+
+def filter_noise(case: PreparedRecording, process_noise: float) -> Noise:
+    """The filter's beliefs about a case; a density of zero is a free run, from the first reading as it is."""
+    if process_noise == 0.0:
+        return kernel.FREE
+    spread, duration = case.reading_span, max(float(case.drive.time[-1]), 1e-9)
+    velocity = (spread if case.drive.speed else max(spread / duration, 1e-3 * spread)) ** 2
+    return Noise(
+        process_noise, 1.0, 1.0 if case.drive.speed else velocity / case.reading_variance, case.longest_silence
+    )
+
+
+def _renewal_interval(case: PreparedRecording) -> float:
+    """The usual time between readings that are new, s: a computed speed is often held over many stamps."""
+    if not case.drive.speed:
+        return case.step
+    read = case.drive.measured[np.isfinite(case.drive.measured)]
+    return case.step * len(read) / max(int(np.count_nonzero(np.diff(read))), 1)
+
+
+def largest_process_noise(cases: Sequence[PreparedRecording]) -> float:
+    """The noise density at which the filter weighs the fewest readings that it may."""
+    return min(process_noise_of(c, MIN_READINGS_IN_MEMORY * _renewal_interval(c)) for c in cases)

@@ -1,0 +1,30 @@
+"""Linear algebra where parameters may leave no trace."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+#: Information along a direction, over that of its parameters each by itself, below which nothing determines it: slopes
+#: are rounded to seven digits, which leaves 1e-13 where there is none.
+EIGENVALUE_FLOOR = 1e-10
+
+
+@contextmanager
+def ignore_overflow() -> Iterator[None]:
+    """For values so wild that the model overflows, and parameters that leave no trace and so have no end of variance.
+
+    Both are looked for in what comes out, and no news. Every thread has to be told anew.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        yield
+
+
+def least_squares_solution(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The smallest solution of a x = b, which is there also where a parameter leaves no trace and a is singular."""
+    return np.asarray(np.linalg.lstsq(a, b, rcond=EIGENVALUE_FLOOR)[0])
