@@ -26,9 +26,9 @@ from excitations import EXCITATIONS, FREE
 
 from twin.diagnosis import adequacy, holdout
 from twin.diagnosis.adequacy import FreeRun
-from twin.diagnosis.holdout import HoldoutPart
+from twin.diagnosis.holdout import RecordingPart
 from twin.effects.catalogue import BASE
-from twin.estimation import likelihood, optimizer, preparation
+from twin.estimation import optimizer, preparation
 from twin.estimation.fit import Fit
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
@@ -75,7 +75,7 @@ def judge(recording: Recording, structure: Structure, values: dict[str, float]) 
     free = preparation.free_parameters(structure)
     fitted = optimizer.fit_with_process_noise(cases, structure, values, free)
     point = adequacy.at_own_noise(cases, fitted)
-    seen = adequacy.together(adequacy.free_runs([HoldoutPart(r) for r in train], cases, point, True), True)
+    seen = adequacy.together(adequacy.free_runs([RecordingPart(r) for r in train], cases, point, True), True)
     tests, parts = holdout.led(held_out, structure, LEAD)
     unseen = adequacy.free_runs(parts, preparation.prepare_recordings(tests, structure), point, False)
     return seen, adequacy.together(unseen, False), point

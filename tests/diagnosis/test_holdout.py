@@ -40,7 +40,7 @@ def made(supply: float = 0.0, load: float = 0.0) -> Recording:
 
 def fitted(
     recording: Recording,
-) -> tuple[list[PreparedRecording], Fit, list[holdout.HoldoutPart]]:
+) -> tuple[list[PreparedRecording], Fit, list[holdout.RecordingPart]]:
     train, held_out = holdout.split([recording])
     cases = preparation.prepare_recordings(train, STRUCTURE)
     return cases, optimizer.fit_with_process_noise(cases, STRUCTURE, VALUES, tuple(VALUES)), held_out

@@ -238,13 +238,13 @@ def test_held_out_part_of_a_true_model_is_met_by_its_free_run(where):
     case, point = fitted("nothing")
     truth = maximum_likelihood.to_model([case], replace(point, values=VALUES), [case.recording], {})
     train, held_out = holdout.split([case.recording], where)
-    shown = holdout.traces(truth, truth, [("train", holdout.HoldoutPart(train[0])), ("holdout", held_out[0])])
+    shown = holdout.traces(truth, truth, [("train", holdout.RecordingPart(train[0])), ("holdout", held_out[0])])
     assert [t.role for t in shown] == ["train", "holdout"]
     assert np.array_equal(shown[1].time, case.recording.time[held_out[0].inside])
     moved = np.ptp(case.recording.output)
     assert np.nanmax(np.abs(shown[1].after - shown[1].recorded)) < 0.02 * moved
     # What was fitted is run by the kernel, also where nothing is read of it: through the FMU it is the same.
-    (again,) = holdout.traces(truth, truth, [("holdout", holdout.HoldoutPart(train[0]))])
+    (again,) = holdout.traces(truth, truth, [("holdout", holdout.RecordingPart(train[0]))])
     assert len(shown[0].after) == len(train[0].time)
     assert np.abs(shown[0].after - again.after).max() < 1e-6 * moved
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from twin.diagnosis import drift
 from twin.diagnosis.drift import Dynamics, MeanSquare
-from twin.diagnosis.holdout import HoldoutPart
+from twin.diagnosis.holdout import RecordingPart
 from twin.estimation import filter_memory, likelihood, optimizer, parameter_bounds, preparation
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
@@ -64,7 +64,9 @@ class Error:
     reading: float  # variance of a reading, output unit^2
 
 
-def dynamics(structure: Structure, values: Mapping[str, float], case: PreparedRecording, states: FloatArray) -> Dynamics:
+def dynamics(
+    structure: Structure, values: Mapping[str, float], case: PreparedRecording, states: FloatArray
+) -> Dynamics:
     """How a small error moves along a run of the model whose states (N, states) are given."""
     x, v = states[:, _STATE["position"]], states[:, _STATE["velocity"]]
     time = case.drive.time
@@ -218,14 +220,14 @@ def started(case: PreparedRecording, point: Fit, points: int) -> Started:
     return Started(case, run.reading, np.hstack([kept, own, met]), grid)
 
 
-def error(case: PreparedRecording, part: HoldoutPart, point: Fit, points: int) -> Error:
+def error(case: PreparedRecording, part: RecordingPart, point: Fit, points: int) -> Error:
     """The error of the free run through a part, which starts where the case does.
 
     Parameters
     ----------
     case : PreparedRecording
         The recording from where the free run starts; its first readings give the initial state.
-    part : HoldoutPart
+    part : RecordingPart
         What of the recording is judged. Where it begins later than the recording, the run is moved to the first
         reading in the part.
     point : Fit
@@ -293,7 +295,9 @@ def at_own_noise(cases: Sequence[PreparedRecording], point: Fit) -> Fit:
     return likelihood.evaluate(mine, point.structure, point.values, process_noise, point.free)
 
 
-def free_runs(parts: Sequence[HoldoutPart], cases: Sequence[PreparedRecording], point: Fit, was_fitted: bool) -> list[Error]:
+def free_runs(
+    parts: Sequence[RecordingPart], cases: Sequence[PreparedRecording], point: Fit, was_fitted: bool
+) -> list[Error]:
     """The errors of the free runs through these parts, each prepared as one of the cases, with the points of the grid
     shared out by length.
     """

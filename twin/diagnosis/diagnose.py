@@ -24,7 +24,7 @@ from twin.diagnosis import (
     thresholds,
 )
 from twin.diagnosis.forward_selection import Progress, SearchResult
-from twin.diagnosis.holdout import HoldoutPart
+from twin.diagnosis.holdout import RecordingPart
 from twin.diagnosis.nonparametric import TERM_KINDS, CurveTerm
 from twin.diagnosis.plausibility import is_plausible
 from twin.diagnosis.result import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
@@ -371,13 +371,13 @@ def _other_recordings_left(found: SearchResult, telling: PreparedRecording) -> l
 def _split_and_search(
     recordings: Sequence[Recording], first: Structure, held: Mapping[str, float], candidates: Sequence[str],
     progress: Progress | None,
-) -> tuple[list[Recording], list[HoldoutPart], SearchResult, list[str]]:  # fmt: skip
+) -> tuple[list[Recording], list[RecordingPart], SearchResult, list[str]]:  # fmt: skip
     """What was fitted, what is held out, what was found, and sentences on what held-out data alone show.
 
     Where the end of a lone recording shows what nothing before it can teach, the middle is held out instead.
     """
 
-    def looked(where: tuple[float, float]) -> tuple[list[Recording], list[HoldoutPart], SearchResult, list[str]]:
+    def looked(where: tuple[float, float]) -> tuple[list[Recording], list[RecordingPart], SearchResult, list[str]]:
         train, held_out = holdout.split(recordings, where)
         found = forward_selection.search(train, first, held, candidates, progress)
         return train, held_out, found, holdout.physics_only_in_holdout(found.cases, found.last, held_out)
@@ -458,7 +458,7 @@ def diagnose(
     shapes = [tuple(residual_torque.torque_shapes(m)) for m in missing]
     lap("locate")
     tell("checking on held-out data through the FMU", 0.9)
-    runs = [*(("train", HoldoutPart(r)) for r in train), *(("holdout", p) for p in held_out)]
+    runs = [*(("train", RecordingPart(r)) for r in train), *(("holdout", p) for p in held_out)]
     shown = holdout.traces(before, after, runs, closed)
     white = [
         _whiteness_p_value(preparation.with_internal_step(found.cases, p.structure), p)

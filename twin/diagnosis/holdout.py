@@ -35,7 +35,7 @@ _LEAD_TIME = (1.0, 5.0)
 
 
 @dataclass(frozen=True, eq=False)
-class HoldoutPart:
+class RecordingPart:
     """What is read from `begin` to `end` (s) of a recording, of which the rest only leads there."""
 
     recording: Recording
@@ -55,20 +55,22 @@ class HoldoutPart:
 
 def split(
     recordings: Sequence[Recording], where: tuple[float, float] = END_PART
-) -> tuple[list[Recording], list[HoldoutPart]]:
+) -> tuple[list[Recording], list[RecordingPart]]:
     """What may be fitted, and what is held out: the recordings of that role, or a part of each if there are none.
 
     Raises BadInput where nothing is to be fitted.
     """
     train = to_fit(recordings)
-    held_out = [HoldoutPart(r) for r in recordings if r.role != "train"]
+    held_out = [RecordingPart(r) for r in recordings if r.role != "train"]
     if held_out:
         return train, held_out
-    parts = [HoldoutPart(r, *(share * float(r.time[-1]) for share in where)) for r in train]
+    parts = [RecordingPart(r, *(share * float(r.time[-1]) for share in where)) for r in train]
     return [p.recording.without(p.begin, p.end) for p in parts], parts
 
 
-def led(parts: Sequence[HoldoutPart], structure: Structure, lead: float) -> tuple[list[Recording], list[HoldoutPart]]:
+def led(
+    parts: Sequence[RecordingPart], structure: Structure, lead: float
+) -> tuple[list[Recording], list[RecordingPart]]:
     """What a free run through each part goes through, from `lead` seconds ahead or from the start, and the part in it.
 
     Physics that depends on the time since the start must run from the start.
@@ -79,11 +81,11 @@ def led(parts: Sequence[HoldoutPart], structure: Structure, lead: float) -> tupl
         run = part.recording.part(begin, part.end)
         shift = float(part.recording.time[part.recording.time >= begin][0])
         runs.append(run)
-        inside.append(HoldoutPart(run, part.begin - shift, part.end - shift))
+        inside.append(RecordingPart(run, part.begin - shift, part.end - shift))
     return runs, inside
 
 
-def _free_run(fmu: Path, part: HoldoutPart, lead: float, closed: bool) -> np.ndarray:
+def _free_run(fmu: Path, part: RecordingPart, lead: float, closed: bool) -> np.ndarray:
     """What the FMU says the sensor reads in the part, started there from the recorded state.
 
     It starts `lead` seconds ahead, in what was fitted, so that lag, gap and delay line are filled and an error of the
@@ -111,7 +113,9 @@ def simulate_recording(model: Model, recording: Recording, closed: bool = False)
     return seen[own_loop(recording).stamps] if closed else seen
 
 
-def traces(before: Model, after: Model, parts: Sequence[tuple[str, HoldoutPart]], closed: bool = False) -> list[Trace]:
+def traces(
+    before: Model, after: Model, parts: Sequence[tuple[str, RecordingPart]], closed: bool = False
+) -> list[Trace]:
     """Both models beside each part, whose role comes first, free-running from the recorded input or, `closed`, under
     the rig's own loop: what is held out through their FMUs, what was fitted by the kernel, which they equal.
     """
@@ -139,19 +143,19 @@ def _acceleration_ratio(here: MissingTorque, there: MissingTorque) -> float:
 
 
 def physics_only_in_holdout(
-    cases: Sequence[PreparedRecording], point: Fit, held_out: Sequence[HoldoutPart]
+    cases: Sequence[PreparedRecording], point: Fit, held_out: Sequence[RecordingPart]
 ) -> list[str]:
     """What the last model lacks in held-out data alone: of physics that did not act before, nobody could tell.
 
     Either a torque that goes with something, or one that is larger than all before, as where a stop is met.
     """
 
-    def lacks(case: PreparedRecording, part: HoldoutPart) -> tuple[MissingTorque, nonparametric.RemainingDependence]:
+    def lacks(case: PreparedRecording, part: RecordingPart) -> tuple[MissingTorque, nonparametric.RemainingDependence]:
         (mine,) = preparation.with_internal_step([case], point.structure)
         missing = residual_torque.missing_torque(mine, point.structure, point.values).between(part.begin, part.end)
         return missing, nonparametric.examine_dependence(missing, case.recording.lever)
 
-    fitted = [lacks(c, HoldoutPart(c.recording)) for c in cases]
+    fitted = [lacks(c, RecordingPart(c.recording)) for c in cases]
     known, loud = max(left.size for _, left in fitted), max(missing.rms for missing, _ in fitted)
     said = []
     for part in held_out:
