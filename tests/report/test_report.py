@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -46,7 +47,7 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data):
-        if not {"style", "title"} & set(self.open):
+        if not {"style", "title", "script"} & set(self.open):
             self.words.append(data)
 
     @property
@@ -62,13 +63,14 @@ def test_page_is_whole_and_self_contained():
     text = html.html(story())
     page = Page(text)
     assert [i for i in page.ids if i in SECTIONS] == SECTIONS
-    assert not {"script", "link", "img", "iframe", "object", "base"} & set(page.tags)
-    assert "http" not in text and "//" not in text and "@import" not in text
+    assert not {"link", "img", "iframe", "object", "base"} & set(page.tags)
+    shown = re.sub(r'id="explorer-data">.*?</script>', "", text)  # base64 may hold anything
+    assert "http" not in shown and "//" not in shown and "@import" not in shown
     for name, value in page.attributes:
         if name in ("src", "href", "xlink:href"):
             assert value.startswith("#"), value
     assert "url(" not in text.replace("url(#", "")
-    assert len(text) < 3e6
+    assert len(text) < 1e6
 
 
 def test_page_says_what_was_wrong():
@@ -100,7 +102,7 @@ def test_text_from_files_is_escaped():
     renamed = tuple(replace(t, name=evil) for t in d.traces)
     recordings = tuple(replace(r, name=evil) for r in d.recordings)
     hostile = html.html(story(diagnosis=replace(d, traces=renamed, recordings=recordings, telling=evil)))
-    assert "script" not in Page(hostile).tags
+    assert Page(hostile).tags.count("script") == Page(text).tags.count("script")
 
 
 def test_page_and_json_say_which_recording_tells_and_which_is_faulty():

@@ -5,12 +5,14 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from html import escape
 from itertools import pairwise
 from typing import Any
 
 import matplotlib
 import numpy as np
+from latex2mathml.converter import convert
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -94,8 +96,15 @@ _TEXT = TextToPath()
 _LETTERS = {Path.MOVETO: "M", Path.LINETO: "L", Path.CURVE3: "Q", Path.CURVE4: "C", Path.CLOSEPOLY: "Z"}
 
 
+def _mathml(latex: str) -> str:
+    """The same as MathML, without the address of its name space, which HTML knows."""
+    return re.sub(r' xmlns="[^"]*"', "", convert(latex))
+
+
+@cache
 def math_svg(latex: str) -> str:
-    """LaTeX mathematics as inline SVG on the text's baseline; the source itself where it cannot be set."""
+    """LaTeX mathematics as inline SVG on the text's baseline, and as MathML for a screen reader; the source itself
+    where it cannot be set."""
     label = escape(latex, quote=True)
     size = float(_TEXT.FONT_SCALE)  # then widths and outlines are in the same unit
     with matplotlib.rc_context({"mathtext.fontset": "stix"}):
@@ -116,8 +125,8 @@ def math_svg(latex: str) -> str:
     )
     box = f"{-pad:.0f} {-(height - descent + pad):.0f} {width + 2 * pad:.0f} {height + 2 * pad:.0f}"
     return (
-        f'<svg class="math" style="{style}" viewBox="{box}" role="img" aria-label="{label}">'
-        f'<title>{label}</title><path d="{"".join(outline)}"/></svg>'
+        f'<svg class="math" style="{style}" viewBox="{box}" aria-hidden="true">'
+        f'<title>{label}</title><path d="{"".join(outline)}"/></svg><span class="spoken">{_mathml(latex)}</span>'
     )
 
 

@@ -18,6 +18,7 @@ from twin.estimation.two_stage import NAMES, TwoStage
 from twin.io.recording import Rig
 from twin.model.fitted_model import Model
 from twin.report import figures, wording
+from twin.report.explorer import explorer
 from twin.report.style import CSS
 from twin.report.wording import measure, number, percent, unit_text
 
@@ -77,8 +78,8 @@ def _section(key: str, title: str, *content: str) -> str:
     return f'<section id="{key}"><h2>{escape(title)}</h2>{inside}</section>' if inside else ""
 
 
-def _figure(drawing: str, says: str) -> str:
-    return f"<figure>{drawing}<figcaption>{says}</figcaption></figure>"
+def _figure(drawing: str, says: str, kind: str = "") -> str:
+    return _tag("figure", f"{drawing}<figcaption>{says}</figcaption>", kind)
 
 
 def _key(kind: str, text: str) -> str:
@@ -250,7 +251,8 @@ def _comparison(story: Story) -> str:
     head = ["data"]
     for quantity in ("RMSE", "of the range", "whiteness p"):
         head += [f"{quantity}<br>{name}" if i == 0 else f"<br>{name}" for i, (_, _, name) in enumerate(drawn)]
-    parts = [_figure(figures.overlay(d), says), _table(head, rows, ("", *["number"] * (len(head) - 1)))]
+    still = _figure(figures.overlay(d), says, "still")
+    parts = [explorer(d), still, _table(head, rows, ("", *["number"] * (len(head) - 1)))]
     parts.append(
         _said(
             "Whiteness p: how likely a residual like this one would be if it were noise alone; a small value means "
@@ -313,8 +315,12 @@ def _residual(story: Story) -> str:
         )
     if d.segments:
         worst = sorted(d.segments, key=lambda s: -s.share)[:5]
-        said = ", ".join(f"{number(s.start)} to {number(s.end)} s ({percent(s.share)})" for s in worst)
-        parts.append(_said(f"Stretches with most of the misfit: {said}."))
+        said = ", ".join(
+            f'<a href="#explorer" data-from="{s.start:.6g}" data-to="{s.end:.6g}">{number(s.start)} to '
+            f"{number(s.end)} s</a> ({percent(s.share)})"
+            for s in worst
+        )
+        parts.append(_tag("p", f"Stretches with most of the misfit: {said}."))
     return _section("residual", "What the first model gets wrong" if changed else "What is left over", *parts)
 
 

@@ -6,13 +6,14 @@ MISFIT, HELD = "#fbeadb", "#f1f5f7"
 
 #: The page's style sheet.
 CSS = f"""
-:root {{ --ink: {INK}; --muted: {MUTED}; --rule: #d9dde2; --before: {BEFORE};
+:root {{ color-scheme: light dark; --paper: #fff; --grid: {GRID}; --band-misfit: {MISFIT}; --band-held: {HELD};
+  --band-fault: #f6dfe4; --select: #0b728533; --ink: {INK}; --muted: {MUTED}; --rule: #d9dde2; --before: {BEFORE};
   --after: {AFTER}; --recorded: {RECORDED}; --misfit: {MISFIT}; --tint: #eef6f7;
   --serif: Charter, "Bitstream Charter", "Iowan Old Style", "Palatino Linotype", Palatino, P052, Georgia, serif;
   --sans: "Helvetica Neue", "Segoe UI", "Nimbus Sans", "Liberation Sans", Arial, sans-serif; }}
 * {{ box-sizing: border-box; }}
 html {{ font-size: 17px; }}
-body {{ margin: 0; background: #fff; color: var(--ink); font-family: var(--serif); line-height: 1.55;
+body {{ margin: 0; background: var(--paper); color: var(--ink); font-family: var(--serif); line-height: 1.55;
   font-variant-numeric: lining-nums; text-rendering: optimizeLegibility; }}
 main {{ max-width: 54rem; margin: 0 auto; padding: 4.5rem 1.6rem 6rem; }}
 p {{ margin: 0 0 0.9em; max-width: 40rem; hyphens: manual; }}
@@ -25,7 +26,7 @@ code {{ font-family: ui-monospace, "SF Mono", Menlo, Consolas, "Liberation Mono"
 .kicker {{ font-family: var(--sans); font-size: 0.78rem; color: var(--muted); margin: 0; letter-spacing: 0.01em; }}
 .verdict {{ display: inline-block; margin-left: 0.7em; padding: 0.1em 0.65em 0.14em; border-radius: 1em;
   background: var(--tint); color: var(--after); font-weight: 600; }}
-.verdict.unexplained, .verdict.partly_explained {{ background: var(--misfit); color: #9a4408; }}
+.verdict.unexplained, .verdict.partly_explained, .verdict.inconclusive {{ background: var(--misfit); color: #9a4408; }}
 .source {{ color: var(--muted); font-size: 0.92rem; margin-bottom: 2rem; }}
 .lead {{ font-size: 1.12rem; line-height: 1.5; max-width: 43rem; }}
 .remark {{ border-left: 3px solid var(--before); padding-left: 0.9rem; }}
@@ -55,6 +56,7 @@ td .note {{ display: block; max-width: 22rem; font-size: 0.78rem; }}
 .finding .term.new {{ background: none; padding: 0; }}
 svg.math {{ fill: currentColor; overflow: visible; }}
 .equation, .large {{ overflow-x: auto; overflow-y: hidden; }}
+.equation, .scroll {{ position: relative; }}
 td.symbol {{ white-space: nowrap; }}
 figure {{ margin: 0 0 1.5rem; }}
 figcaption {{ font-family: var(--sans); font-size: 0.76rem; line-height: 1.45; color: var(--muted); max-width: 43rem;
@@ -92,9 +94,40 @@ td.number, th.number {{ text-align: right; font-variant-numeric: lining-nums tab
 .ranking .p {{ text-align: right; color: var(--muted); font-size: 0.84rem; white-space: nowrap; }}
 .notes {{ padding-left: 1.1rem; max-width: 42rem; font-size: 0.92rem; }}
 .notes li {{ margin: 0 0 0.35rem; }}
+.explorer {{ margin: 0 0 1.5rem; }}
+@media screen {{ .explorer[data-ready] ~ figure.still {{ display: none; }} }}
+.explorer .tools {{ display: flex; flex-wrap: wrap; gap: 0.45rem 1.1rem; margin: 0 0 0.6rem; font-family: var(--sans);
+  font-size: 0.74rem; }}
+.explorer .group {{ display: inline-flex; flex-wrap: wrap; align-items: center; gap: 0.3rem; }}
+.explorer .of {{ color: var(--muted); }}
+.explorer button, .explorer select {{ font: inherit; color: var(--ink); background: var(--paper);
+  border: 1px solid var(--rule); border-radius: 4px; padding: 0.22em 0.6em; cursor: pointer; min-height: 2em; }}
+.explorer button:hover {{ border-color: var(--muted); }}
+.explorer button[aria-pressed=true] {{ background: var(--tint); border-color: var(--after); }}
+.explorer button.line::before {{ content: ""; display: inline-block; width: 1.1em; height: 0.22em;
+  vertical-align: 0.28em; margin-right: 0.4em; background: var(--after); }}
+.explorer button.line.before::before {{ background: var(--before); }}
+.explorer button.line.recorded::before {{ background: var(--recorded); }}
+.explorer button[aria-pressed=false] {{ color: var(--muted); }}
+.explorer canvas {{ display: block; width: 100%; height: 8.2rem; touch-action: pan-y; cursor: crosshair; }}
+.explorer canvas:first-child {{ height: 13rem; }}
+.explorer :focus-visible, a:focus-visible {{ outline: 2px solid var(--after); outline-offset: 2px; }}
+.explorer .readout {{ font-family: var(--sans); font-size: 0.74rem; color: var(--muted); max-width: none;
+  min-height: 2.9em; margin: 0.3rem 0 0; font-variant-numeric: tabular-nums; }}
+.spoken {{ position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); white-space: nowrap; }}
+.missing-parameters {{ font-size: 0.9rem; }}
+.commands {{ font-size: 0.86rem; overflow-x: auto; background: var(--tint); padding: 0.7rem 1rem; border-radius: 6px; }}
+@media (prefers-color-scheme: dark) {{
+  :root {{ --paper: #14171a; --ink: #e6e8eb; --muted: #9aa4b0; --rule: #333a42; --grid: #2a3036; --before: #f0883e;
+    --after: #3fb6cc; --recorded: #66707c; --misfit: #47301b; --tint: #1a2a2e; --band-misfit: #3a2a1a;
+    --band-held: #1e252b; --band-fault: #3b2229; --select: #3fb6cc33; }}
+  svg.figure:not(.chain) {{ filter: invert(0.9) hue-rotate(180deg); }}
+  .chain .station rect {{ fill: var(--paper); }} .chain .station.found text {{ fill: var(--paper); }}
+  .term.new {{ background: #17343a; }} .ranking .bar {{ background: #262c32; }}
+  .verdict.unexplained, .verdict.partly_explained, .verdict.inconclusive {{ color: #f0a36b; }} }}
 @media (max-width: 40rem) {{ html {{ font-size: 15.5px; }} main {{ padding-top: 2rem; }} h1 {{ font-size: 1.7rem; }}
   .ranking li {{ grid-template-columns: 9rem 1fr 4.4rem; }} .equation .about {{ flex-basis: 100%; }} }}
-@media print {{ html {{ font-size: 10.5pt; }} main {{ max-width: none; padding: 0;
+@media print {{ .explorer {{ display: none; }} html {{ font-size: 10.5pt; }} main {{ max-width: none; padding: 0;
   }} section {{ margin-top: 1.8rem; }}
   figure, table, .finding, .merits, .equation, li {{ break-inside: avoid; }} h2, h3 {{ break-after: avoid; }}
   * {{ print-color-adjust: exact; -webkit-print-color-adjust: exact; }} @page {{ margin: 18mm 16mm; }} }}
