@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnosis.holdout import rerun
+from twin.diagnosis.holdout import simulate_recording
 from twin.diagnosis.result import Diagnosis, Trace
 from twin.io.recording import Recording
 from twin.model.fitted_model import Model
@@ -84,12 +84,12 @@ def _spliced(recording: Recording, traces: Sequence[Trace], which: str) -> Float
 
 def _alone(model: Model, recording: Recording, held_out: Sequence[Trace]) -> FloatArray:
     """What a model reads (N,) that was not fitted: free from the start, and anew where a part is held out."""
-    run = rerun(model, recording)
+    run = simulate_recording(model, recording)
     for trace in held_out:
         inside = (recording.time >= trace.time[0]) & (recording.time <= trace.time[-1])
         if inside.all():
             continue
-        anew = rerun(model, recording.part(float(trace.time[0]), float(trace.time[-1])))
+        anew = simulate_recording(model, recording.part(float(trace.time[0]), float(trace.time[-1])))
         run[inside] = anew[-int(inside.sum()) :]
     return run
 
