@@ -73,7 +73,11 @@ def test_a_recording_cannot_be_changed(tmp_path: Path) -> None:
         ("deg", "rad", math.pi / 180),
         ("rev", "rad", 2 * math.pi),
         ("m", "m", 1.0),
+        ("mm", "m", 1e-3),
         ("rpm", "rad/s", math.pi / 30),
+        ("deg/s", "rad/s", math.pi / 180),
+        ("rev/s", "rad/s", 2 * math.pi),
+        ("mm/s", "m/s", 1e-3),
         ("rad/s", "rad/s", 1.0),
         ("m/s", "m/s", 1.0),
     ],
@@ -131,6 +135,50 @@ def test_counts_fix_the_resolution(tmp_path: Path) -> None:
     assert recording.resolution == pytest.approx(2 * math.pi / 4096)
     np.testing.assert_allclose(recording.output, ANGLE, atol=recording.resolution / 2 + 1e-12)
     assert "(0.00153 per count)" in repr(recording)
+
+
+def test_counts_per_second(tmp_path: Path) -> None:
+    rig = RIG.replace('unit = "rad"', 'unit = "count/s"\ncounts_per_revolution = 4096')
+    recording = load_one(tmp_path, {**COLUMNS, "pos": ANGLE * 4096}, rig)
+    assert recording.output_unit == "rad/s"
+    np.testing.assert_allclose(recording.output, ANGLE * 2 * math.pi, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("keys", "values"),
+    [
+        ("", {1: 1, -1: 0}),
+        ("", {1: 1, -1: -1}),
+        ("", {1: 37, -1: -2}),
+        ("forward = 2", {1: 2, -1: 1}),
+        ("forward = 1\nreverse = 2", {1: 1, -1: 2}),
+    ],
+)
+def test_the_sign_of_the_input_from_a_column_of_its_own(tmp_path: Path, keys: str, values: dict[int, int]) -> None:
+    direction = np.array([values[int(sign)] for sign in np.sign(DUTY)])
+    columns = {**COLUMNS, "duty": np.abs(DUTY), "dir": direction}
+    recording = load_one(tmp_path, columns, f'{RIG}[input.direction]\ncolumn = "dir"\n{keys}\n')
+    np.testing.assert_allclose(recording.input, DUTY)
+
+
+def test_a_drive_that_is_neither_forward_nor_reverse_is_off(tmp_path: Path) -> None:
+    columns = {**COLUMNS, "duty": np.full(TIME.size, 50.0), "dir": np.arange(TIME.size) // 100 % 3}
+    rig = f'{RIG}[input.direction]\ncolumn = "dir"\nforward = 1\nreverse = 2\n'
+    np.testing.assert_allclose(load_one(tmp_path, columns, rig).input, np.choose(columns["dir"], [0, 50, -50]))
+
+
+@pytest.mark.parametrize("bits", [8, 16, 32])
+def test_signed_integers_that_were_logged_without_their_sign(tmp_path: Path, bits: int) -> None:
+    rig = RIG.replace('unit = "%"', f'unit = "%"\nsigned_bits = {bits}')
+    recording = load_one(tmp_path, {**COLUMNS, "duty": np.where(DUTY < 0, DUTY + 2.0**bits, DUTY)}, rig)
+    np.testing.assert_allclose(recording.input, DUTY)
+
+
+def test_where_the_sensor_sits_and_how_often_it_is_read(tmp_path: Path) -> None:
+    recording = load_one(tmp_path, COLUMNS)
+    assert (recording.location, recording.refresh) == ("link", None)
+    recording = load_one(tmp_path, COLUMNS, RIG + 'location = "motor"\nrefresh = 0.02\n')
+    assert (recording.location, recording.refresh) == ("motor", 0.02)
 
 
 def test_optional_columns_and_known(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from twin.errors import BadInput
-from twin.io import recording, rig_file
+from twin.io import recording, rig_file, units
 
 DOCS = (Path(__file__).parents[2] / "docs" / "recording.md").read_text(encoding="utf-8")
 SHOWN = re.findall(r"```toml\n(.*?)```", DOCS, re.S)
@@ -28,14 +28,16 @@ def test_what_is_shown_can_be_read(tmp_path: Path, text: str) -> None:
 
 
 def test_every_unit_and_known_quantity_is_told() -> None:
-    units = [rig_file.TIME_UNITS, rig_file.INPUT_UNITS, rig_file.OUTPUT_UNITS, *rig_file.OPTIONAL_UNITS.values()]
-    for unit in {u for one in units for u in one}:
+    tables = [units.TIME_UNITS, units.INPUT_UNITS, units.OUTPUT_UNITS, *units.OPTIONAL_UNITS.values()]
+    for unit in {u for table in tables for u in table}:
         assert f'"{unit}"' in DOCS
-    assert all(f"[optional.{name}]" in DOCS for name in rig_file.OPTIONAL_UNITS)
+    assert all(f"[optional.{name}]" in DOCS for name in units.OPTIONAL_UNITS)
     assert all(name in DOCS for name in recording.MEANT)
 
 
-@pytest.mark.parametrize("section", ["", "time", "input", "output", "optional.speed", "loop", "structure"])
+@pytest.mark.parametrize(
+    "section", ["", "time", "input", "input.direction", "output", "optional.speed", "loop", "structure"]
+)
 def test_every_key_is_told(tmp_path: Path, section: str) -> None:
     """What is offered in the place of a key that nobody knows stands in the text."""
     table = {"input": 'column = "u"\nunit = "%"', "output": 'column = "y"\nunit = "rad"', section: 'qqqqqq = "1"'}

@@ -23,7 +23,7 @@ from twin.io.faults import (
     unwrap,
 )
 from twin.io.manifest import Entry, entries_of
-from twin.io.rig_file import Clock, Column, LoopRig, Rig, guess_rig, guess_time, read_rig
+from twin.io.rig_file import Clock, Column, Direction, LoopRig, Rig, guess_rig, guess_time, read_rig
 from twin.io.tables import Table, open_table
 
 __all__ = [
@@ -80,6 +80,8 @@ class Recording:
     optional: Mapping[str, FloatArray] = field(default_factory=dict)
     loop: Loop | None = None
     faults: tuple[Fault, ...] = ()
+    location: str = "link"  # "link" | "motor": the side of gear, gap and elasticity that the sensor sits on
+    refresh: float | None = None  # s, how often the sensor is read anew; None: not known
 
     def __repr__(self) -> str:
         quantity = "speed" if self.is_speed else "position"
@@ -277,6 +279,8 @@ def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
     raw = {name: values[rows] for name, values in raw.items()}
     drive, held = _hold(time, _convert(raw[rig.input.name], rig.input), "input", table.name)
     faults += held
+    if rig.direction is not None:
+        drive = drive * _sense(time, raw[rig.direction.name], rig.direction, table.name)
     reading = _convert(raw[rig.output.name], rig.output)
     if not np.isfinite(reading).any():
         raise BadInput(f"{table.name}: column '{rig.output.name}' holds no number")
@@ -308,6 +312,8 @@ def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
         faults=tuple(
             replace(f, start=float(f.start), end=float(f.end)) for f in sorted(faults, key=lambda f: (f.start, f.kind))
         ),
+        location=rig.location,
+        refresh=rig.refresh,
     )
     if entry.start is not None or entry.end is not None:
         recording = recording.part(entry.start or 0.0, math.inf if entry.end is None else entry.end)
@@ -364,6 +370,7 @@ def _wanted(table: Table, rig: Rig, clock: Clock) -> list[str]:
     """
     named = {"output": rig.output.name, "input": rig.input.name}
     named |= {f"optional.{key}": column.name for key, column in rig.optional.items()}
+    named |= {"input.direction": rig.direction.name} if rig.direction is not None else {}
     named |= {"loop": rig.loop.reference} if rig.loop is not None else {}
     named |= {"time": clock.column} if clock.column is not None else {}
     for role, name in named.items():
@@ -415,7 +422,35 @@ def _time(
     return time[keep], rows[keep], faults
 
 
+def _sense(time: FloatArray, raw: FloatArray, direction: Direction, name: str) -> FloatArray:
+    """1 where the input drives forward, -1 where it drives in reverse, 0 where it does neither.
+
+    Raises BadInput for a column that holds neither signs nor 0 and 1 while the rig file gives no values.
+    """
+    values, _ = _hold(time, raw, "direction of the input", name)
+    if direction.forward is not None:
+        forward = values == direction.forward
+        reverse = ~forward if direction.reverse is None else values == direction.reverse
+        if not forward.any() and not reverse.any():
+            raise BadInput(
+                f"{name}: column '{direction.name}' is nowhere {direction.forward:g} or {direction.reverse:g}; "
+                "give the values that it holds as forward and reverse in [input.direction]"
+            )
+        return np.asarray(forward.astype(np.float64) - reverse, dtype=np.float64)
+    if values.min() < 0:
+        return np.asarray(np.sign(values), dtype=np.float64)
+    odd = values[(values != 0) & (values != 1)]
+    if odd.size:
+        raise BadInput(
+            f"{name}: column '{direction.name}' holds {odd[0]:g}, neither a sign nor 0 or 1; "
+            "say what it means with forward and reverse in [input.direction]"
+        )
+    return np.asarray(2 * values - 1, dtype=np.float64)
+
+
 def _convert(raw: FloatArray, column: Column) -> FloatArray:
+    if column.signed_bits:
+        raw = np.where(raw >= 2.0 ** (column.signed_bits - 1), raw - 2.0**column.signed_bits, raw)
     with np.errstate(over="ignore", invalid="ignore"):
         values = (raw - column.offset) * (column.scale * column.factor) + column.zero
     return np.where(np.isfinite(values), values, np.nan)

@@ -14,36 +14,16 @@ from typing import Any
 
 from twin.errors import BadInput
 from twin.io.toml import check_keys
-
-# unit as the user writes it -> (unit we keep, factor); a count's factor needs counts_per_revolution
-Units = Mapping[str, tuple[str, float]]
-
-TIME_UNITS: Units = {"s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "ns": ("s", 1e-9)}
-INPUT_UNITS: Units = {
-    "%": ("%", 1.0),
-    "1": ("%", 100.0),
-    "V": ("V", 1.0),
-    "A": ("A", 1.0),
-    "N*m": ("N*m", 1.0),
-    "N": ("N", 1.0),
-}
-POSITION_UNITS: Units = {
-    "rad": ("rad", 1.0),
-    "deg": ("rad", math.pi / 180),
-    "rev": ("rad", 2 * math.pi),
-    "count": ("rad", 2 * math.pi),
-    "m": ("m", 1.0),
-}
-SPEED_UNITS: Units = {"rad/s": ("rad/s", 1.0), "rpm": ("rad/s", 2 * math.pi / 60), "m/s": ("m/s", 1.0)}
-OUTPUT_UNITS: Units = {**POSITION_UNITS, **SPEED_UNITS}
-OPTIONAL_UNITS: Mapping[str, Units] = {
-    "motor_position": POSITION_UNITS,
-    "speed": SPEED_UNITS,
-    "current": {"A": ("A", 1.0), "mA": ("A", 1e-3)},
-    "supply": {"V": ("V", 1.0), "mV": ("V", 1e-3)},
-    "temperature": {"degC": ("K", 1.0), "K": ("K", 1.0)},
-}
-_ZERO_CELSIUS = 273.15  # K
+from twin.io.units import (
+    INPUT_UNITS,
+    OPTIONAL_UNITS,
+    OUTPUT_UNITS,
+    POSITION_UNITS,
+    SPEED_UNITS,
+    TIME_UNITS,
+    ZERO_CELSIUS,
+    Units,
+)
 
 
 @dataclass(frozen=True)
@@ -54,7 +34,7 @@ class Column:
     fraction but timer ticks: the value is then 100 * (raw - offset) * scale / full_scale percent.
     """
 
-    name: str
+    name: str  # of a file without a header the column's number, from 1
     unit: str  # what the converted values are in
     offset: float = 0.0
     scale: float = 1.0
@@ -63,6 +43,20 @@ class Column:
     resolution: float | None = None  # in `unit`; None: to be found from the data
     turn: float | None = None  # raw units per full turn, when the raw values are an angle
     counts: bool = False
+    signed_bits: int = 0  # width of a signed integer that was logged without its sign; 0: the values are as they are
+
+
+@dataclass(frozen=True)
+class Direction:
+    """The column that holds the sign of an input that is logged as a magnitude.
+
+    Without `forward` and `reverse` the column holds signs, or 1 for forward and 0 for reverse. With `forward`
+    alone every other value is reverse; with both, every other value is no drive at all.
+    """
+
+    name: str
+    forward: float | None = None
+    reverse: float | None = None
 
 
 @dataclass(frozen=True)
@@ -106,6 +100,9 @@ class Rig:
     optional: Mapping[str, Column] = field(default_factory=dict)
     known: Mapping[str, float | str] = field(default_factory=dict)
     loop: LoopRig | None = None
+    direction: Direction | None = None
+    location: str = "link"  # "link" | "motor": the side of gear, gap and elasticity that the sensor sits on
+    refresh: float | None = None  # s, how often the sensor is read anew; None: not known
     effects: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
 
@@ -123,7 +120,8 @@ def read_rig(path: Path) -> Rig:
     unit) and `resolution` (one count, in the column's unit). An input that is logged in timer ticks has
     `full_scale`, the ticks at full drive, in place of a unit: full_scale = 5299 makes 5299 ticks 100 %.
     [known] and the gains of [loop] are numbers or names of manifest columns (or of scalars in a MAT file);
-    `gain_scale` multiplies the gain.
+    `gain_scale` multiplies the gain. `signed_bits` = 8, 16 or 32 gives a signed integer its sign back that
+    was logged without it. Of a file without a header `column` is a number, from 1.
 
     Raises BadInput for TOML that cannot be read, an unknown key, a wrong unit, or a value of the wrong kind.
     """
@@ -159,11 +157,15 @@ def _rig(table: Mapping[str, Any], where: str) -> Rig:
     effects = structure.get("effects", [])
     if not isinstance(effects, list) or not all(isinstance(e, str) for e in effects):
         raise BadInput(f'{where} [structure]: effects = {effects!r} must be a list of names, such as ["gravity"]')
+    drive, reading = _table(table, "input", where), _table(table, "output", where)
     return Rig(
         name=where,
         time=_clock(_table(table, "time", where), f"{where} [time]"),
-        input=_column(_table(table, "input", where), INPUT_UNITS, f"{where} [input]", ("full_scale",)),
-        output=_column(_table(table, "output", where), OUTPUT_UNITS, f"{where} [output]"),
+        input=_column(drive, INPUT_UNITS, f"{where} [input]", ("full_scale", "direction")),
+        output=_column(reading, OUTPUT_UNITS, f"{where} [output]", ("location", "refresh")),
+        direction=_direction(drive, f"{where} [input]") if "direction" in drive else None,
+        location=_location(reading, f"{where} [output]"),
+        refresh=_positive(reading, "refresh", f"{where} [output]") if "refresh" in reading else None,
         optional={
             key: _column(_table(optional, key, where), OPTIONAL_UNITS[key], f"{where} [optional.{key}]")
             for key in optional
@@ -179,7 +181,7 @@ def _rig(table: Mapping[str, Any], where: str) -> Rig:
 
 def _clock(table: Mapping[str, Any], where: str) -> Clock:
     check_keys(where, table, ("column", "unit", "sample_time"))
-    column = _text(table, "column", where) if "column" in table else None
+    column = _name(table, where) if "column" in table else None
     sample_time = _number(table, "sample_time", where) if "sample_time" in table else None
     if column is not None and sample_time is not None:
         raise BadInput(f"{where}: give either column or sample_time, not both")
@@ -190,7 +192,7 @@ def _clock(table: Mapping[str, Any], where: str) -> Clock:
 
 
 def _column(table: Mapping[str, Any], units: Units, where: str, more: Sequence[str] = ()) -> Column:
-    allowed = ("column", "unit", "offset", "scale", "resolution", "counts_per_revolution", *more)
+    allowed = ("column", "unit", "offset", "scale", "resolution", "counts_per_revolution", "signed_bits", *more)
     check_keys(where, table, allowed)
     if "column" not in table:
         raise BadInput(f"{where}: column is missing; name the column of the recording")
@@ -207,10 +209,13 @@ def _column(table: Mapping[str, Any], units: Units, where: str, more: Sequence[s
     per_revolution = _number(table, "counts_per_revolution", where) if "counts_per_revolution" in table else None
     if per_revolution is not None and per_revolution <= 0:
         raise BadInput(f"{where}: counts_per_revolution = {per_revolution:g} must be greater than 0")
-    if written == "count":
+    if written in ("count", "count/s"):
         if per_revolution is None:
-            raise BadInput(f'{where}: unit = "count" needs counts_per_revolution (after quadrature)')
+            raise BadInput(f'{where}: unit = "{written}" needs counts_per_revolution (after quadrature)')
         factor /= per_revolution
+    bits = _number(table, "signed_bits", where) if "signed_bits" in table else 0
+    if bits not in (0, 8, 16, 32):
+        raise BadInput(f"{where}: signed_bits = {bits:g} is no width of an integer; give 8, 16 or 32")
     resolution = abs(factor * scale) if written == "count" else None
     if resolution is None and per_revolution is not None and unit == "rad":
         resolution = 2 * math.pi / per_revolution
@@ -220,16 +225,44 @@ def _column(table: Mapping[str, Any], units: Units, where: str, more: Sequence[s
             raise BadInput(f"{where}: resolution must not be negative")
     turn = 2 * math.pi / abs(factor * scale) if unit == "rad" else None
     return Column(
-        name=_text(table, "column", where),
+        name=_name(table, where),
         unit=unit,
         offset=_number(table, "offset", where) if "offset" in table else 0.0,
         scale=scale,
         factor=factor,
-        zero=_ZERO_CELSIUS if written == "degC" else 0.0,
+        zero=ZERO_CELSIUS if written == "degC" else 0.0,
         resolution=resolution,
         turn=turn,
         counts=written == "count",
+        signed_bits=int(bits),
     )
+
+
+def _direction(drive: Mapping[str, Any], where: str) -> Direction:
+    table, where = _table(drive, "direction", where), where.replace("[input]", "[input.direction]")
+    check_keys(where, table, ("column", "forward", "reverse"))
+    if "column" not in table:
+        raise BadInput(f"{where}: column is missing; name the column that holds the sign of the input")
+    if "reverse" in table and "forward" not in table:
+        raise BadInput(f"{where}: reverse needs forward; give the values that mean forward and reverse")
+    forward, reverse = (_number(table, key, where) if key in table else None for key in ("forward", "reverse"))
+    if forward is not None and forward == reverse:
+        raise BadInput(f"{where}: forward and reverse are both {forward:g}; give two values")
+    return Direction(_name(table, where), forward, reverse)
+
+
+def _location(table: Mapping[str, Any], where: str) -> str:
+    location = table.get("location", "link")
+    if location not in ("link", "motor"):
+        raise BadInput(f'{where}: location = {location!r} is not known; use "link" or "motor"')
+    return str(location)
+
+
+def _positive(table: Mapping[str, Any], key: str, where: str) -> float:
+    value = _number(table, key, where)
+    if value <= 0:
+        raise BadInput(f"{where}: {key} = {value:g} must be greater than 0")
+    return value
 
 
 def _loop(table: Mapping[str, Any], where: str) -> LoopRig:
@@ -297,6 +330,14 @@ def _number(table: Mapping[str, Any], key: str, where: str) -> float:
 
 def _number_or_name(table: Mapping[str, Any], key: str, where: str) -> float | str:
     return table[key] if isinstance(table[key], str) else _number(table, key, where)
+
+
+def _name(table: Mapping[str, Any], where: str) -> str:
+    """The name of a column; the number of one is a name, too, as files without a header have no other."""
+    value = table["column"]
+    if isinstance(value, int) and not isinstance(value, bool) and 1 <= value < 10**6:
+        return str(value)
+    return _text(table, "column", where)
 
 
 def _text(table: Mapping[str, Any], key: str, where: str) -> str:
