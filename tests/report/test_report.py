@@ -13,6 +13,7 @@ from twin.diagnosis import result
 from twin.estimation import two_stage
 from twin.report import figures, html, wording
 from twin.report.html import Check, Story
+from twin.report.origin import trace_origin
 
 SECTIONS = ["found", "where", "comparison", "residual", "rivals", "parameters", "recording", "next", "how"]
 VOID = {"meta", "br", "link", "img", "input", "hr"}
@@ -80,7 +81,8 @@ def test_page_says_what_was_wrong():
     assert "acts at the load" in said
     for number in ("3.100 ± 0.020", "62", "3.20", "0.300"):
         assert number in said, number
-    assert "the recording cannot fix it" in said
+    assert "Not determined by this recording: motor share. What would help: add reversals" in said
+    assert "the recording cannot fix it" not in said
     assert "0.0150 to 0.0260" in said  # the profile interval
     assert "Travel over more than half a turn." in said
 
@@ -212,3 +214,23 @@ def test_sentences_name_effect_and_both_errors():
     worse = example()
     fits = {"before": worse.fit["train"]["after"], "after": worse.fit["train"]["before"]}
     assert "rises" in wording.fit_sentence(replace(worse, fit={"train": fits, "holdout": fits}))
+
+
+def test_a_report_says_where_it_comes_from(tmp_path, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
+    (tmp_path / "log.csv").write_text("abc")
+    made = trace_origin(
+        "twin run log.csv", [tmp_path / "log.csv", tmp_path / "none"], ["report.html"], ["twin check <x>"]
+    )
+    page = Page(html.html(story(origin=made)))
+    assert "1970-01-01T00:00:00+00:00" in page.text
+    assert "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad" in page.text  # FIPS 180-2, appendix B.1
+    assert "twin run log.csv" in page.text and "twin check <x>" in page.text
+    assert "Where this page comes from" not in Page(html.html(story())).text
+
+
+def test_a_parameter_that_is_fixed_well_is_no_note():
+    d = example()
+    told = {**d.after.notes, "input_gain": "the recording cannot fix it; record more"}
+    sharp = replace(d, after=replace(d.after, notes=told))
+    assert "input gain" not in wording.undetermined_sentence(sharp.after)

@@ -97,13 +97,17 @@ def parameters_to_json(model: Model) -> dict[str, Any]:
 
 
 def parameter_lines(model: Model) -> list[str]:
-    from twin.report.wording import measure
+    from twin.report.wording import measure, undetermined_sentence
 
     width = max(len(p.name) for p in model.structure.parameters)
     lines = []
     for p in model.structure.parameters:
+        if p.name in model.undetermined:
+            continue
         value = measure(model.values[p.name], model.std(p.name), model.unit(p.name))
         torque = model.torque(p.name)
         note = f"  ({model.notes[p.name]})" if p.name in model.notes else ""
         lines.append(f"  {p.name:<{width}}  {value}{torque and f' = {torque}'}{note}")
+    if lost := undetermined_sentence(model):
+        lines.append(f"  {lost}")
     return lines

@@ -60,6 +60,11 @@ class Model:
         """Longest internal step, s."""
         return 0.002 / self.structure.substeps
 
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Parameters that the recording cannot fix: the error is as large as the value, and a note says why."""
+        return tuple(n for n in self.notes if n in self.values and self.std(n) >= abs(self.values[n]))
+
     def std(self, name: str) -> float:
         """Standard error of a parameter; NaN where it was held fixed."""
         if name not in self.fitted:

@@ -19,6 +19,7 @@ from twin.io.recording import Rig
 from twin.model.fitted_model import Model
 from twin.report import figures, wording
 from twin.report.explorer import explorer
+from twin.report.origin import Origin
 from twin.report.style import CSS
 from twin.report.wording import measure, number, percent, unit_text
 
@@ -50,6 +51,7 @@ class Story:
     experiment_file: str = ""
     seconds: Mapping[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+    origin: Origin | None = None
 
 
 # ---- small pieces of HTML ----
@@ -342,8 +344,12 @@ def _parameters(story: Story) -> str:
     before, after = story.diagnosis.before, story.diagnosis.after
     rows: list[tuple[str, ...]] = []
     for p in after.structure.parameters:
+        if p.name in after.undetermined:
+            continue
         old = (
-            measure(before.values[p.name], before.std(p.name), before.unit(p.name)) if p.name in before.values else "–"
+            measure(before.values[p.name], before.std(p.name), before.unit(p.name))
+            if p.name in before.values and p.name not in before.undetermined
+            else "–"
         )
         new = measure(after.values[p.name], after.std(p.name), after.unit(p.name))
         more = [escape(after.notes[p.name])] if p.name in after.notes else []
@@ -360,7 +366,8 @@ def _parameters(story: Story) -> str:
     if len(figures.models(story.diagnosis)) == 1:
         head, kinds, rows = [*head[:3], "value"], kinds[:4], [(*row[:3], row[4]) for row in rows]
     says = _said("Value ± standard error. A note says where this recording cannot fix a number, and what would.")
-    return _section("parameters", "Parameters", says, _table(head, rows, kinds))
+    lost = wording.undetermined_sentence(after)
+    return _section("parameters", "Parameters", says, _table(head, rows, kinds), _said(lost, "lost") if lost else "")
 
 
 def _two_stage(story: Story) -> str:
@@ -484,7 +491,25 @@ def _how(story: Story) -> str:
     return _section("how", "How it was computed", *parts)
 
 
-_PARTS = (_where, _comparison, _residual, _ranking, _parameters, _two_stage, _faults, _control, _next, _how)
+def _origin(story: Story) -> str:
+    """What another person needs to make this page again, and what to do with the result."""
+    origin = story.origin
+    if origin is None:
+        return ""
+    rows = [
+        ("twin", escape(origin.version)),
+        ("date", escape(origin.date)),
+        ("command", f"<code>{escape(origin.command)}</code>"),
+    ]
+    rows += [(escape(name), f'<code class="digest">sha256 {digest}</code>') for name, digest in origin.inputs]
+    rows += [("files written", escape(", ".join(origin.outputs)))] if origin.outputs else []
+    parts = [_table(("", ""), [row for row in rows if row[1] != "<code></code>"])]
+    if origin.next_commands:
+        parts += [_tag("h3", "To go on"), _tag("pre", escape("\n".join(origin.next_commands)), "commands")]
+    return _section("origin", "Where this page comes from", *parts)
+
+
+_PARTS = (_where, _comparison, _residual, _ranking, _parameters, _two_stage, _faults, _control, _next, _how, _origin)
 
 
 def html(story: Story) -> str:

@@ -115,7 +115,7 @@ td.number, th.number {{ text-align: right; font-variant-numeric: lining-nums tab
 .explorer .readout {{ font-family: var(--sans); font-size: 0.74rem; color: var(--muted); max-width: none;
   min-height: 2.9em; margin: 0.3rem 0 0; font-variant-numeric: tabular-nums; }}
 .spoken {{ position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); white-space: nowrap; }}
-.missing-parameters {{ font-size: 0.9rem; }}
+.digest {{ overflow-wrap: anywhere; }}
 .commands {{ font-size: 0.86rem; overflow-x: auto; background: var(--tint); padding: 0.7rem 1rem; border-radius: 6px; }}
 @media (prefers-color-scheme: dark) {{
   :root {{ --paper: #14171a; --ink: #e6e8eb; --muted: #9aa4b0; --rule: #333a42; --grid: #2a3036; --before: #f0883e;

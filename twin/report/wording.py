@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from twin.control.cosimulation import Tracking
     from twin.diagnosis.result import Diagnosis, Fitness, Undecided
     from twin.io.recording import Recording
+    from twin.model.fitted_model import Model
 
 #: The variables that a misfit may go with, in plain words.
 VARIABLES = {
@@ -81,6 +82,15 @@ def percent(share: float) -> str:
     if share < 0.01:
         return "under 1\u202f%"
     return f"{100.0 * share:.0f}\u202f%"
+
+
+def undetermined_sentence(model: Model) -> str:
+    """The parameters that a recording cannot fix, and what would fix them, in one line; "" where all are fixed."""
+    if not model.undetermined:
+        return ""
+    names = listed([n.replace("_", " ") for n in model.undetermined])
+    remedies = dict.fromkeys(model.notes[n].split(";", 1)[-1].strip() for n in model.undetermined)
+    return f"Not determined by this recording: {names}. What would help: {'; '.join(remedies)}."
 
 
 def listed(words: Sequence[str]) -> str:
