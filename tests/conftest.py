@@ -15,7 +15,7 @@ LONG = ("test_masked_pairs", "test_undecided")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    if hasattr(config, "workerinput") or config.option.collectonly:
+    if hasattr(config, "workerinput") or config.option.collectonly or not config.getoption("numprocesses", 0):
         return
     from twin.estimation import preparation
     from twin.simulation import kernel
