@@ -1,35 +1,43 @@
 """Manifests: a CSV that names recordings, the role of each and what is known of it."""
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from twin.errors import BadInput
-from twin.io.tables import TextRows, read_rows, split_cells
+from twin.io.tables.table import listing
+from twin.io.tables.text import MISSING, TextRows, read_cells, split_cells, without_trailing
+from twin.io.units import KNOWN_UNITS
 
-_OWN_COLUMNS = ("file", "role", "start", "end")
+_OWN_COLUMNS = ("file", "test", "role", "start", "end")
+_HEAD = 65536  # bytes in which the word `file` stands where a table is a manifest
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One recording to load: a path given by the user, or a line of a manifest. `start`, `end` in s."""
+    """One recording to load: a path given by the user, or a line of a manifest. `start`, `end` in s; `test` is the one
+    that is meant of a file that holds several, empty for all of them.
+    """
 
     path: Path
     role: str = "train"
     known: Mapping[str, float] = field(default_factory=dict)
     start: float | None = None
     end: float | None = None
+    test: str = ""
 
 
 def entries_of(path: Path) -> list[Entry]:
     """The recordings that a path stands for: itself, or every line of it when it is a manifest.
 
-    A manifest is a text table with a column `file`. Raises BadInput for a line that cannot be used.
+    A manifest is a text table with a column `file`, in any dialect that a recording may have. Numbers in columns such
+    as `payload_mass [g]` are converted. Raises BadInput for a line that cannot be used.
     """
-    if path.suffix.lower() not in (".csv", ".txt", ".tsv") or not path.is_file():
+    if path.suffix.lower() not in (".csv", ".txt", ".tsv") or not path.is_file() or not _may_be_manifest(path):
         return [Entry(path)]
-    rows = read_rows(path)
+    rows = read_cells(path)
     if "file" not in rows.header:
         if any(name.lower() == "file" for name in rows.header):
             raise BadInput(f"{path}: line 1: a manifest's column is 'file', in small letters; rename it")
@@ -38,7 +46,7 @@ def entries_of(path: Path) -> list[Entry]:
     numeric = [
         name
         for name in rows.header
-        if name not in _OWN_COLUMNS
+        if _quantity(name)[0] not in _OWN_COLUMNS
         and any(row[name] for row in table)
         and all(_finite(row[name]) is not None for row in table if row[name])
     ]
@@ -47,45 +55,83 @@ def entries_of(path: Path) -> list[Entry]:
     ]
 
 
+def _may_be_manifest(path: Path) -> bool:
+    """Whether the word `file` stands in the first lines: so a long recording is not read twice."""
+    try:
+        with path.open("rb") as stream:
+            return b"file" in stream.read(_HEAD).replace(b"\0", b"").lower()
+    except OSError:
+        return False
+
+
 def _table(rows: TextRows) -> list[dict[str, str]]:
     if not rows.lines:
         raise BadInput(f"{rows.name}: a manifest without rows; add a line per recording")
     table = []
     for number, line in zip(rows.numbers, rows.lines, strict=True):
-        cells = split_cells(line, rows.separator)
+        cells = without_trailing(split_cells(line, rows.separator), len(rows.header))
         if len(cells) != len(rows.header):
             raise BadInput(
                 f"{rows.name}: line {number} has {len(cells)} cells and the header {len(rows.header)}; "
                 "complete or delete that line"
             )
-        table.append(dict(zip(rows.header, cells, strict=True)))
+        empty = ["" if cell.lower() in MISSING else cell for cell in cells]
+        points = [_with_point(cell) if rows.separator != "," else cell for cell in empty]
+        table.append(dict(zip(rows.header, points, strict=True)))
     return table
+
+
+def _with_point(cell: str) -> str:
+    """A number with a decimal comma, written with a point; other texts as they are."""
+    changed = cell.replace(",", ".", 1)
+    return changed if _finite(changed) is not None else cell
+
+
+def _quantity(name: str) -> tuple[str, float]:
+    """'payload_mass [g]' -> ('payload_mass', 1e-3). Raises BadInput for a unit that is not known."""
+    match = re.fullmatch(r"(.*?)\s*[(\[]\s*([^)\]]+?)\s*[)\]]", name)
+    if match is None:
+        return name, 1.0
+    base, unit = match.groups()
+    if unit not in KNOWN_UNITS:
+        raise BadInput(f"manifest column '{name}': unit '{unit}' is not known; use one of {listing(list(KNOWN_UNITS))}")
+    return base, KNOWN_UNITS[unit]
 
 
 def _entry(path: Path, where: str, row: Mapping[str, str], numeric: list[str]) -> Entry:
     file = path.parent / row["file"]
-    if not row["file"] or not _is_file(file):
+    if not row["file"] or not _is_there(file):
         raise BadInput(f"{where}, column 'file': no such file '{row['file']}'; paths are relative to the manifest")
     role = row.get("role") or "train"
     if role not in ("train", "holdout"):
         raise BadInput(f"{where}, column 'role': '{role}' is not known; use train or holdout")
-    known = {name: value for name in numeric if (value := _finite(row[name])) is not None}
-    return Entry(file, role, known, _seconds(row, "start", where), _seconds(row, "end", where))
+    known = {}
+    for name in numeric:
+        value, (base, factor) = _finite(row[name]), _quantity(name)
+        if value is not None:
+            known[base] = value * factor
+    start, end = (_seconds(row, name, where) for name in ("start", "end"))
+    return Entry(file, role, known, start, end, row.get("test", ""))
 
 
-def _is_file(path: Path) -> bool:
+def _is_there(path: Path) -> bool:
     try:
-        return path.is_file()
+        return path.exists()
     except OSError:  # a name that is too long
         return False
 
 
 def _seconds(row: Mapping[str, str], name: str, where: str) -> float | None:
-    text = row.get(name, "")
-    value = _finite(text)
-    if text and value is None:
-        raise BadInput(f"{where}, column '{name}': '{text}' is not a number of seconds")
-    return value
+    """A time in s; the column may give its unit, as in `start [ms]`."""
+    for column, text in row.items():
+        base, factor = _quantity(column) if column.startswith(name) else (column, 1.0)
+        if base != name or not text:
+            continue
+        value = _finite(text)
+        if value is None:
+            raise BadInput(f"{where}, column '{column}': '{text}' is not a number of seconds")
+        return value * factor
+    return None
 
 
 def _finite(text: str) -> float | None:

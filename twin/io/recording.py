@@ -24,7 +24,8 @@ from twin.io.faults import (
 )
 from twin.io.manifest import Entry, entries_of
 from twin.io.rig_file import Clock, Column, Direction, LoopRig, Rig, guess_rig, guess_time, read_rig
-from twin.io.tables import Table, open_table
+from twin.io.tables.formats import open_tables
+from twin.io.tables.table import Table, listing
 
 __all__ = [
     "Fault", "FloatArray", "Loop", "Recording", "Rig", "command_of", "driven", "known_quantities", "load", "read_rig",
@@ -36,6 +37,7 @@ _LEAST_SAMPLES = 50
 #: A sample time, s, a duty, %, and a pause, s, beyond which a unit is wrong or a cell is bad.
 _SLOWEST, _FULL, _PAUSE = 0.5, 1e4, 1e5
 _NOMINAL = "supply_nominal"
+_NO_HEADER = " (the file has no header: a column is named by its number, from 1)"
 #: Known quantities that mean something to twin; others may be there for the gains of a loop.
 MEANT = ("inertia", "mass", _NOMINAL, "payload_mass", "arm_length", "arm_mass", "payload_inertia", "payload_moment")
 _INPUT_WORDS = {"%": "duty", "V": "voltage", "A": "current", "N*m": "torque", "N": "force"}
@@ -234,17 +236,27 @@ def load(paths: Sequence[Path], rig: Path | None = None) -> tuple[list[Recording
     chosen = _choose_rig([Path(paths[0]), entries[0].path], rig)
     if rig is None:
         _check_one_rig([Path(p) for p in paths])
-    tables: dict[Path, Table] = {}
+    opened: dict[Path, list[Table]] = {}
     recordings = []
     for entry in entries:
-        table = tables.get(entry.path) or open_table(entry.path)
-        tables = {entry.path: table}  # windows of one file stand together in a manifest
-        if chosen is None:
-            chosen = _guess(table)
-        recordings.append(_recording(table, chosen, entry))
+        tables = opened.get(entry.path) or open_tables(entry.path)
+        opened = {entry.path: tables}  # windows of one file stand together in a manifest
+        for table in _tests(tables, entry):
+            if chosen is None:
+                chosen = _guess(table)
+            recordings.append(_recording(table, chosen, entry))
     assert chosen is not None
     _check_moves(recordings)
     return _share_supply(_share_resolution(recordings, chosen.output.resolution)), chosen
+
+
+def _tests(tables: Sequence[Table], entry: Entry) -> list[Table]:
+    """The tests of a file that an entry stands for: all, or the one that the manifest names."""
+    chosen = [table for table in tables if entry.test in ("", table.test)]
+    if not chosen:
+        tests = ", ".join(table.test for table in tables if table.test) or "none"
+        raise BadInput(f"{entry.path}: no test '{entry.test}', which the manifest names; there are: {tests}")
+    return chosen
 
 
 def _choose_rig(beside: Sequence[Path], rig: Path | None) -> Rig | None:
@@ -265,10 +277,10 @@ def _check_one_rig(paths: Sequence[Path]) -> None:
 
 
 def _guess(table: Table) -> Rig:
-    rig = guess_rig(table.name, table.names, table.clock is not None, {})
+    rig = guess_rig(table.name, table.names, table.clock is not None, {}, table.units)
     (drive,) = table.columns([rig.input.name])
     peak = float(np.nanmax(np.abs(drive), initial=0.0))
-    return guess_rig(table.name, table.names, table.clock is not None, {rig.input.name: peak})
+    return guess_rig(table.name, table.names, table.clock is not None, {rig.input.name: peak}, table.units)
 
 
 def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
@@ -355,11 +367,11 @@ def _clock(table: Table, clock: Clock) -> Clock:
     """The clock with its column settled: as the rig file says, else the format's own stamps, else by name."""
     if clock.column is not None or clock.sample_time is not None:
         return clock
-    found = Clock(table.clock) if table.clock is not None else guess_time(table.names)
+    found = Clock(table.clock) if table.clock is not None else guess_time(table.names, table.units)
     if found is None:
         raise BadInput(
             f"{table.name}: no time column is named; give [time] column or sample_time in the rig file; "
-            f"columns are: {', '.join(table.names)}"
+            f"columns are: {listing(table.names)}"
         )
     return found
 
@@ -375,12 +387,14 @@ def _wanted(table: Table, rig: Rig, clock: Clock) -> list[str]:
     named |= {"time": clock.column} if clock.column is not None else {}
     for role, name in named.items():
         if name not in table.names and name != table.clock:
-            near = get_close_matches(name, table.names, 1) or [n for n in table.names if n.lower() == name.lower()]
+            near = get_close_matches(name, table.names[:1000], 1) or [
+                n for n in table.names if n.lower() == name.lower()
+            ]
             meant = f"; did you mean '{near[0]}'?" if near else ""
             says = f"which {rig.name} says is its [{role}]" if not rig.assumed else f"taken for the {role} by its name"
             raise BadInput(
-                f"{table.name}: no column '{name}', {says}{meant}; columns are: {', '.join(table.names)}; correct the "
-                "rig file, or give one with --rig"
+                f"{table.name}: no column '{name}', {says}{meant}; columns are: {listing(table.names)}"
+                f"{_NO_HEADER if table.names[0] == '1' else ''}; correct the rig file, or give one with --rig"
             )
     return list(dict.fromkeys(named.values()))
 
@@ -443,7 +457,7 @@ def _sense(time: FloatArray, raw: FloatArray, direction: Direction, name: str) -
     if odd.size:
         raise BadInput(
             f"{name}: column '{direction.name}' holds {odd[0]:g}, neither a sign nor 0 or 1; "
-            "say what it means with forward and reverse in [input.direction]"
+            "say what it means with forward and reverse in [input.direction] of rig.toml"
         )
     return np.asarray(2 * values - 1, dtype=np.float64)
 

@@ -6,14 +6,14 @@ Every unit that a user may write is converted to one of `%, V, A, N*m, N` for th
 
 import math
 import re
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from twin.errors import BadInput
-from twin.io.toml import check_keys
+from twin.io.tables.table import listing
+from twin.io.toml import check_keys, parse_toml
 from twin.io.units import (
     INPUT_UNITS,
     OPTIONAL_UNITS,
@@ -23,6 +23,7 @@ from twin.io.units import (
     TIME_UNITS,
     ZERO_CELSIUS,
     Units,
+    spelled_unit,
 )
 
 
@@ -135,9 +136,9 @@ def read_rig(path: Path) -> Rig:
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror}); give a rig.toml file") from None
     try:
-        table = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise BadInput(f"{path}: not valid TOML: {error}".replace("\n", " ")) from None
+        table = parse_toml(text)
+    except ValueError as error:
+        raise BadInput(f"{path}: not valid TOML: {error}; mend that line") from None
     return _rig(table, str(path))
 
 
@@ -359,6 +360,8 @@ def _unit(table: Mapping[str, Any], units: Units, where: str, default: str | Non
 
 # --- without a rig file ---
 
+_LOOKED_AT = 2000  # columns among which obvious names are looked for
+
 # Column names that mean the same thing wherever we have seen them, best first.
 _TIME_NAMES = ("t", "time", "timestamp", "times", "seconds", "clock")
 _INPUT_NAMES = {
@@ -392,47 +395,33 @@ _POSITION_NAMES = (
     "output",
 )
 _SPEED_NAMES = ("speed", "velocity", "omega", "motorspeed", "vel")
-_UNIT_SPELLINGS = {
-    "sec": "s",
-    "seconds": "s",
-    "µs": "us",
-    "pct": "%",
-    "percent": "%",
-    "v": "V",
-    "a": "A",
-    "nm": "N*m",
-    "n*m": "N*m",
-    "n·m": "N*m",
-    "n": "N",
-    "counts": "count",
-    "degrees": "deg",
-    "°": "deg",
-    "rad_s": "rad/s",
-    "radps": "rad/s",
-    "m_s": "m/s",
-    "mps": "m/s",
-}
 _BRACKETED = re.compile(r"^(.*?)[\s_]*[(\[]\s*([^)\]]+?)\s*[)\]]$")
 _SUFFIXED = re.compile(
-    r"^(.+?)[_ ](rad_s|radps|rad/s|m_s|m/s|mps|rpm|rad|deg|rev|counts?|m"
-    r"|s|sec|ms|us|ns|pct|percent|%|v|a|nm|n)$",
+    r"^(.+?)[_ ](rad_s|radps|rad/s|deg_s|deg/s|dps|rev/s|rps|counts?/s|mm_s|mm/s|m_s|m/s|mps|rpm|rad|deg|rev|counts?"
+    r"|mm|m|s|sec|ms|us|ns|pct|percent|%|v|a|nm|n)$",
     re.I,
 )
 
 
-def _split_unit(name: str) -> tuple[str, str | None]:
+def split_unit(name: str) -> tuple[str, str | None]:
     """'Motor_Speed(RPM)' -> ('motorspeed', 'rpm'); a name without a unit has None."""
     match = _BRACKETED.match(name.strip()) or _SUFFIXED.match(name.strip())
     base, unit = match.groups() if match else (name, None)
     if unit is not None:
-        unit = _UNIT_SPELLINGS.get(unit.lower(), unit.lower())
+        unit = spelled_unit(unit) or unit.lower()
     return re.sub(r"[^a-z0-9]", "", base.lower()), unit
 
 
-def _pick(names: Sequence[str], known: Iterable[str], units: Units) -> tuple[str, str, str | None] | None:
-    """The first column whose name is one of `known`, in that order, and whose unit, if written, is
-    possible."""
-    split = [(name, *_split_unit(name)) for name in names]
+def _pick(
+    names: Sequence[str], known: Iterable[str], units: Units, written: Mapping[str, str]
+) -> tuple[str, str, str | None] | None:
+    """The first column whose name is one of `known`, in that order, and whose unit, if the name or the file gives
+    one, is possible.
+    """
+    split = []
+    for name in names[:_LOOKED_AT]:
+        base, unit = split_unit(name)
+        split.append((name, base, unit or spelled_unit(written.get(name, "")) or None))
     for wanted in known:
         for name, base, unit in split:
             if base == wanted and (unit is None or unit in units):
@@ -440,29 +429,32 @@ def _pick(names: Sequence[str], known: Iterable[str], units: Units) -> tuple[str
     return None
 
 
-def guess_time(names: Sequence[str]) -> Clock | None:
-    """The clock, from the column names alone; None when no name says time."""
-    found = _pick(names, _TIME_NAMES, TIME_UNITS)
+def guess_time(names: Sequence[str], units: Mapping[str, str]) -> Clock | None:
+    """The clock, from the names of the columns and the units that the file gives; None when no name says time."""
+    found = _pick(names, _TIME_NAMES, TIME_UNITS, units)
     return None if found is None else Clock(found[0], TIME_UNITS[found[2] or "s"][1])
 
 
-def guess_rig(name: str, names: Sequence[str], has_clock: bool, duty_peak: Mapping[str, float]) -> Rig:
+def guess_rig(
+    name: str, names: Sequence[str], has_clock: bool, duty_peak: Mapping[str, float], units: Mapping[str, str]
+) -> Rig:
     """A rig from obvious column names, for a recording that comes without a rig file.
 
     `name`: file name for messages; `names`: its columns; `has_clock`: the format brings its own stamps;
-    `duty_peak`: largest absolute value per column, to tell a duty of 0..1 from one of 0..100.
+    `duty_peak`: largest absolute value per column, to tell a duty of 0..1 from one of 0..100;
+    `units`: of columns, where the file gives them.
     Raises BadInput when a column cannot be told from its name.
     """
-    listing = f"columns are: {', '.join(names)}; write a rig.toml that names the columns"
-    clock = guess_time(names)
+    there_are = f"columns are: {listing(names)}; write a rig.toml that names the columns"
+    clock = guess_time(names, units)
     if clock is None and not has_clock:
-        raise BadInput(f"{name}: no column looks like time; {listing}")
-    drive = _pick(names, _INPUT_NAMES, INPUT_UNITS)
+        raise BadInput(f"{name}: no column looks like time; {there_are}")
+    drive = _pick(names, _INPUT_NAMES, INPUT_UNITS, units)
     if drive is None:
-        raise BadInput(f"{name}: no column looks like the input; {listing}")
-    reading = _pick(names, _POSITION_NAMES, POSITION_UNITS) or _pick(names, _SPEED_NAMES, SPEED_UNITS)
+        raise BadInput(f"{name}: no column looks like the input; {there_are}")
+    reading = _pick(names, _POSITION_NAMES, POSITION_UNITS, units) or _pick(names, _SPEED_NAMES, SPEED_UNITS, units)
     if reading is None:
-        raise BadInput(f"{name}: no column looks like the output; {listing}")
+        raise BadInput(f"{name}: no column looks like the output; {there_are}")
     unit_in = drive[2] or _INPUT_NAMES[drive[1]]
     if drive[2] is None and unit_in == "%":
         peak = duty_peak.get(drive[0], 0.0)

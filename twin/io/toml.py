@@ -47,11 +47,30 @@ def load(path: Path, kind: str, usual: str, maker: str) -> str:
         raise BadInput(f"{path} cannot be read ({error.strerror}): check its permissions") from None
 
 
+def parse_toml(content: str) -> dict[str, Any]:
+    """A TOML document.
+
+    Raises
+    ------
+    ValueError
+        In one line what is wrong and where, also for what the parser of the standard library does not name so: integers
+        of thousands of digits and tables nested too deep.
+    """
+    try:
+        return tomllib.loads(content)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(" ".join(str(error).split())) from None
+    except ValueError:
+        raise ValueError("an integer in it has too many digits") from None
+    except RecursionError:
+        raise ValueError("its tables are nested too deep") from None
+
+
 def format_of(content: str) -> str:
     """What a text says of its format; empty where it says nothing or is not TOML."""
     try:
-        return str(tomllib.loads(content).get("format", ""))
-    except (tomllib.TOMLDecodeError, RecursionError):
+        return str(parse_toml(content).get("format", ""))
+    except ValueError:
         return ""
 
 
@@ -70,8 +89,8 @@ def parse(content: str, where: str, wanted: str, advice: str, keys: Iterable[str
     another format with the advice.
     """
     try:
-        document = tomllib.loads(content)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        document = parse_toml(content)
+    except ValueError as error:
         raise BadInput(f"{where}: {error}; it is not valid TOML: mend that line") from None
     if document.get("format") != wanted:
         raise BadInput(f"{where}: format is {document.get('format')!r}, not {wanted!r}: {advice}")
