@@ -78,8 +78,10 @@ def assumption_lines(rig: Rig) -> list[str]:
 
 def fault_lines(recordings: Sequence[Recording]) -> list[str]:
     """What was left out of each recording, by its name where there are several."""
+    from twin.io.faults import summarise
+
     several = len(recordings) > 1
-    return [f"{r.name}: {f.says}" if several else f.says for r in recordings for f in r.faults]
+    return [f"{r.name}: {line}" if several else line for r in recordings for line in summarise(r.faults)]
 
 
 def parameters_to_json(model: Model) -> dict[str, Any]:

@@ -5,6 +5,7 @@ costs more than one that is missed, because a standstill from dry friction or a 
 we want to learn from.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,10 +19,46 @@ BoolArray = npt.NDArray[np.bool_]
 class Fault:
     """Something in the recording that is no motion of the axis. `start`, `end` in s."""
 
-    kind: str  # freeze, outlier, gap, clock, wrap, saturation, missing
+    kind: str  # freeze, outlier, gap, clock, wrap, restart, saturation, missing
     start: float
     end: float
     says: str
+    signal: str = "output"
+
+
+#: How a fault that comes often is called.
+_PLURALS = {
+    "freeze": "freezes", "outlier": "outliers", "gap": "gaps", "clock": "faults of the clock", "wrap": "wraps",
+    "restart": "restarts", "saturation": "saturations", "missing": "stretches without a number",
+}  # fmt: skip
+#: Up to so many faults of one kind are said one by one.
+_FEW = 2
+
+
+def summarise(faults: Sequence[Fault]) -> list[str]:
+    """What was found, in a line for each kind of fault and signal.
+
+    Parameters
+    ----------
+    faults
+        In the order of time.
+
+    Returns
+    -------
+    list of str
+        One or two faults of a kind as they are; of more, their number, the stretch and the first of them.
+    """
+    said = []
+    for kind, signal in dict.fromkeys((f.kind, f.signal) for f in faults):
+        alike = [f for f in faults if (f.kind, f.signal) == (kind, signal)]
+        if len(alike) <= _FEW:
+            said += [f.says for f in alike]
+            continue
+        said.append(
+            f"{len(alike)} {_PLURALS.get(kind, kind)} of the {signal} from {alike[0].start:.3f} s to "
+            f"{max(f.end for f in alike):.3f} s; the first: {alike[0].says}"
+        )
+    return said
 
 
 def find_resolution(values: FloatArray) -> float:
@@ -72,6 +109,7 @@ def find_missing(time: FloatArray, values: FloatArray, what: str) -> list[Fault]
                 time[first],
                 time[last],
                 f"{readings} of the {what} missing at {time[first]:.3f} s.",
+                what,
             )
         )
     return faults
@@ -82,54 +120,9 @@ def find_gaps(time: FloatArray) -> list[Fault]:
     step = np.diff(time)
     holes = np.flatnonzero((step > 5 * np.median(step)) & (step > 0.02))
     return [
-        Fault("gap", time[k], time[k + 1], f"No samples for {step[k]:.3f} s from {time[k]:.3f} s on.") for k in holes
+        Fault("gap", time[k], time[k + 1], f"No samples for {step[k]:.3f} s from {time[k]:.3f} s on.", "clock")
+        for k in holes
     ]
-
-
-def unwrap(
-    time: FloatArray, values: FloatArray, turns: tuple[float, ...], resolution: float
-) -> tuple[FloatArray, list[Fault]]:
-    """Undo jumps by a full turn (or by a full counter).
-
-    `turns`: the sizes of a full turn or counter to try, in the unit of `values`. A jump counts when the
-    values never span more than that turn and what is left of the jump without the turn is no more than the
-    motion around it.
-    """
-    good = np.flatnonzero(np.isfinite(values))
-    y = values[good]
-    step = np.diff(y)
-    for turn in sorted(turns):
-        jumps = np.flatnonzero(np.abs(step) > 0.6 * turn)
-        if not jumps.size or np.ptp(y) > 1.01 * turn:
-            continue
-        # an axis that moves a quarter turn between samples could not be unwrapped; such steps are read errors
-        around = _largest_around(np.where(np.abs(step) < 0.25 * turn, np.abs(step), 0.0), 5)
-        left = np.abs(step - np.round(step / turn) * turn)
-        jumps = jumps[left[jumps] <= 3 * around[jumps] + 5 * resolution + 0.005 * turn]
-        if not jumps.size:
-            continue
-        shift = np.zeros(y.size)
-        shift[jumps + 1] = -np.round(step[jumps] / turn) * turn
-        unwrapped = values.copy()
-        unwrapped[good] = y + np.cumsum(shift)
-        faults = [
-            Fault(
-                "wrap",
-                time[good[k]],
-                time[good[k + 1]],
-                f"The reading wraps at {time[good[k + 1]]:.3f} s; unwrapped.",
-            )
-            for k in jumps
-        ]
-        return unwrapped, faults
-    return values, []
-
-
-def _largest_around(size: FloatArray, reach: int) -> FloatArray:
-    """Largest of the values within `reach` samples, for each sample."""
-    from scipy.ndimage import maximum_filter1d  # slow to import: a file that cannot be read need not wait for it
-
-    return np.asarray(maximum_filter1d(size, 2 * reach + 1, mode="nearest"), dtype=np.float64)
 
 
 def find_outliers(values: FloatArray, resolution: float) -> BoolArray:

@@ -11,17 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from twin.errors import BadInput
-from twin.io.faults import (
-    BoolArray,
-    Fault,
-    find_contradicted,
-    find_gaps,
-    find_held,
-    find_missing,
-    find_outliers,
-    find_resolution,
-    unwrap,
-)
+from twin.io.cleaning import Raw, clean_optional, clean_output, hold
+from twin.io.faults import Fault, find_gaps
 from twin.io.manifest import Entry, entries_of
 from twin.io.rig_file import Clock, Column, Direction, LoopRig, Rig, guess_rig, guess_time, read_rig
 from twin.io.tables.formats import open_tables
@@ -41,7 +32,6 @@ _NO_HEADER = " (the file has no header: a column is named by its number, from 1)
 #: Known quantities that mean something to twin; others may be there for the gains of a loop.
 MEANT = ("inertia", "mass", _NOMINAL, "payload_mass", "arm_length", "arm_mass", "payload_inertia", "payload_moment")
 _INPUT_WORDS = {"%": "duty", "V": "voltage", "A": "current", "N*m": "torque", "N": "force"}
-_COUNTERS = tuple(float(2**bits) for bits in (8, 10, 12, 14, 16, 24, 32))
 
 
 @dataclass(frozen=True)
@@ -289,7 +279,7 @@ def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
     raw = dict(zip(wanted, table.columns(wanted), strict=True))
     time, rows, faults = _time(table, clock, raw, rig)
     raw = {name: values[rows] for name, values in raw.items()}
-    drive, held = _hold(time, _convert(raw[rig.input.name], rig.input), "input", table.name)
+    drive, held = hold(time, _convert(raw[rig.input.name], rig.input), "input", table.name)
     faults += held
     if rig.direction is not None:
         drive = drive * _sense(time, raw[rig.direction.name], rig.direction, table.name)
@@ -298,13 +288,19 @@ def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
         raise BadInput(f"{table.name}: column '{rig.output.name}' holds no number")
     optional: dict[str, FloatArray] = {}
     for key, column in rig.optional.items():
-        optional[key], found = _optional(time, key, _convert(raw[column.name], column), column, table.name)
+        column_read = Raw(
+            raw[column.name], _convert(raw[column.name], column), column, f"{table.name}: column '{column.name}'"
+        )
+        optional[key], found = clean_optional(time, key, column_read, table.name, drive)
         faults += found
-    output, resolution, found = _clean(time, reading, rig.output, optional.get("speed"))
-    faults += found + find_gaps(time)
+    where = f"{table.name}: column '{rig.output.name}'"
+    cleaned = clean_output(
+        time, Raw(raw[rig.output.name], reading, rig.output, where), drive, optional.get("speed"), rig.refresh
+    )
+    faults += [*cleaned.faults, *find_gaps(time)]
     known = _known(rig, table, entry)
     if rig.loop is not None:
-        optional["reference"], found = _hold(
+        optional["reference"], found = hold(
             time, _convert(raw[rig.loop.reference], rig.output), "reference", table.name
         )
         faults += found
@@ -313,10 +309,10 @@ def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
         name=Path(table.name).name,
         time=time,
         input=drive,
-        output=output,
+        output=cleaned.values,
         input_unit=rig.input.unit,
         output_unit=rig.output.unit,
-        resolution=resolution,
+        resolution=cleaned.resolution,
         role=entry.role,
         known=known,
         optional=optional,
@@ -325,7 +321,7 @@ def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
             replace(f, start=float(f.start), end=float(f.end)) for f in sorted(faults, key=lambda f: (f.start, f.kind))
         ),
         location=rig.location,
-        refresh=rig.refresh,
+        refresh=cleaned.refresh,
     )
     if entry.start is not None or entry.end is not None:
         recording = recording.part(entry.start or 0.0, math.inf if entry.end is None else entry.end)
@@ -427,12 +423,13 @@ def _time(
             f"'{column}' come twice; its resolution is too coarse, give [time] sample_time instead"
         )
     faults = [
-        Fault("clock", time[k], time[k], f"The stamp {time[k]:.4f} s comes twice; one sample is dropped.") for k in same
+        Fault("clock", time[k], time[k], f"The stamp {time[k]:.4f} s comes twice; one sample is dropped.", "clock")
+        for k in same
     ]
     keep = np.concatenate(([True], step > 0))
     if rows.size < stamps.size:
         count = stamps.size - rows.size
-        faults.append(Fault("missing", 0.0, time[-1], f"{count} samples without a time stamp are dropped."))
+        faults.append(Fault("missing", 0.0, time[-1], f"{count} samples without a time stamp are dropped.", "clock"))
     return time[keep], rows[keep], faults
 
 
@@ -441,7 +438,7 @@ def _sense(time: FloatArray, raw: FloatArray, direction: Direction, name: str) -
 
     Raises BadInput for a column that holds neither signs nor 0 and 1 while the rig file gives no values.
     """
-    values, _ = _hold(time, raw, "direction of the input", name)
+    values, _ = hold(time, raw, "direction of the input", name)
     if direction.forward is not None:
         forward = values == direction.forward
         reverse = ~forward if direction.reverse is None else values == direction.reverse
@@ -468,67 +465,6 @@ def _convert(raw: FloatArray, column: Column) -> FloatArray:
     with np.errstate(over="ignore", invalid="ignore"):
         values = (raw - column.offset) * (column.scale * column.factor) + column.zero
     return np.where(np.isfinite(values), values, np.nan)
-
-
-def _hold(time: FloatArray, values: FloatArray, what: str, name: str) -> tuple[FloatArray, list[Fault]]:
-    """The last value held where one is missing."""
-    good = np.isfinite(values)
-    if not good.any():
-        raise BadInput(f"{name}: the {what} holds no number")
-    index = np.maximum.accumulate(np.where(good, np.arange(values.size), -1))
-    index[index < 0] = np.flatnonzero(good)[0]
-    return values[index], find_missing(time, values, what)
-
-
-def _optional(
-    time: FloatArray, key: str, values: FloatArray, column: Column, name: str
-) -> tuple[FloatArray, list[Fault]]:
-    words = key.replace("_", " ")
-    if key == "motor_position":
-        cleaned, _, faults = _clean(time, values, column, None)
-        return cleaned, [replace(f, says=f"Motor position: {f.says}") for f in faults]
-    faults = find_missing(time, values, words)
-    spikes = np.zeros(values.size, dtype=bool)
-    if key != "speed":  # a reported speed is too coarse and too noisy to be judged
-        spikes = find_outliers(values, find_resolution(values))
-    faults += _outliers(time, values, spikes, words)
-    held, _ = _hold(time, np.where(spikes, np.nan, values), words, name)
-    return held, faults
-
-
-def _outliers(time: FloatArray, values: FloatArray, spikes: BoolArray, what: str) -> list[Fault]:
-    return [
-        Fault("outlier", t, t, f"The {what} jumps to {value:.4g} at {t:.3f} s and comes back.")
-        for t, value in zip(time[spikes], values[spikes], strict=True)
-    ]
-
-
-def _clean(
-    time: FloatArray, reading: FloatArray, column: Column, speed: FloatArray | None
-) -> tuple[FloatArray, float, list[Fault]]:
-    """The output with NaN where it is not to be believed, its resolution, and why."""
-    faults = find_missing(time, reading, "output")
-    resolution = column.resolution if column.resolution is not None else find_resolution(reading)
-    what = "output"
-    output = reading
-    if column.turn is not None:
-        size = abs(column.factor * column.scale)
-        counters = tuple(n * size for n in _COUNTERS) if column.counts else ()
-        output, wraps = unwrap(time, output, (column.turn * size, *counters), resolution)
-        faults += wraps
-    spikes = find_outliers(output, resolution)
-    faults += _outliers(time, output, spikes, what)
-    output = np.where(spikes, np.nan, output)
-    if not column.unit.endswith("/s"):
-        frozen, out = find_held(time, output, resolution)
-        if speed is not None:
-            contradicted, more = find_contradicted(time, output, speed, resolution)
-            seen = [(f.start, f.end) for f in frozen]
-            frozen += [f for f in contradicted if not any(f.start < b and a < f.end for a, b in seen)]
-            out |= more
-        faults += frozen
-        output = np.where(out, np.nan, output)
-    return output, resolution, faults
 
 
 def _known(rig: Rig, table: Table, entry: Entry) -> dict[str, float]:
