@@ -30,6 +30,7 @@ from twin.diagnosis.holdout import RecordingPart
 from twin.effects.catalogue import BASE
 from twin.estimation import optimizer, preparation
 from twin.estimation.fit import Fit
+from twin.estimation.problem import free_parameters
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -71,11 +72,11 @@ def record(seed: int, kind: Kind, duration: float = 40.0) -> tuple[Recording, St
 def judge(recording: Recording, structure: Structure, values: dict[str, float]) -> tuple[FreeRun, FreeRun, Fit]:
     """The free runs through the fitted and the held-out part of the model fitted from these values."""
     train, held_out = holdout.split([recording])
-    cases = preparation.with_internal_step(preparation.prepare_recordings(train, structure), structure)
-    free = preparation.free_parameters(structure)
-    fitted = optimizer.fit_with_process_noise(cases, structure, values, free)
-    point = adequacy.at_own_noise(cases, fitted)
-    seen = adequacy.together(adequacy.free_runs([RecordingPart(r) for r in train], cases, point, True), True)
+    problem = preparation.prepare_recordings(train, structure)
+    free = free_parameters(structure)
+    fitted = optimizer.fit_with_process_noise(problem, structure, values, free)
+    point = adequacy.at_own_noise(problem, fitted)
+    seen = adequacy.together(adequacy.free_runs([RecordingPart(r) for r in train], problem, point, True), True)
     tests, parts = holdout.led(held_out, structure, LEAD)
     unseen = adequacy.free_runs(parts, preparation.prepare_recordings(tests, structure), point, False)
     return seen, adequacy.together(unseen, False), point

@@ -33,7 +33,8 @@ from excitations import EXCITATIONS, FREE
 from simulators import SIMULATORS
 
 from twin.estimation import likelihood, maximum_likelihood, optimizer, prepared_recording
-from twin.estimation.preparation import base_structure, free_parameters
+from twin.estimation.preparation import base_structure
+from twin.estimation.problem import FitProblem, free_parameters
 from twin.estimation.two_stage import two_stage
 from twin.io.recording import Recording
 
@@ -87,8 +88,8 @@ def bounds(recording: Recording, truth: dict[str, float]) -> dict[str, float]:
     """Cramer-Rao bound of every parameter, all of them unknown, with the noise that the recording shows."""
     structure = base_structure()
     cases, free = [prepared_recording.prepare_recording(recording, structure)], free_parameters(structure)
-    process_noise = optimizer.most_likely_process_noise(cases, structure, truth)
-    point = likelihood.evaluate(cases, structure, truth, process_noise, free)
+    process_noise = optimizer.most_likely_process_noise(FitProblem(cases), structure, truth)
+    point = likelihood.evaluate(FitProblem(cases, process_noise=process_noise), structure, truth, free)
     return dict(zip(free, np.sqrt(np.diag(point.covariance)).tolist(), strict=True))
 
 

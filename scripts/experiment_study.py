@@ -52,6 +52,7 @@ from twin.diagnosis.result import Experiment
 from twin.estimation import likelihood, local_optima, multistart, preparation
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording
 
 Array = NDArray[np.float64]
@@ -132,30 +133,33 @@ def in_mesh(case: PreparedRecording, point: Fit) -> PreparedRecording:
     """The case with the motor on the side of its gap that the recording speaks for."""
     trials = [replace(case, contact=s) for s in (0.0, -1.0, 1.0)]
     return min(
-        trials, key=lambda c: likelihood.evaluate([c], point.structure, point.values, point.process_noise).deviance
+        trials,
+        key=lambda c: (
+            likelihood.evaluate(
+                FitProblem([c], process_noise=point.process_noise), point.structure, point.values
+            ).deviance
+        ),
     )
 
 
 def fitted(first: PreparedRecording, recordings: Sequence[Recording], point: Fit, *others: Fit) -> Fit:
     """The model refitted to the first recording and others, from its values or those it shares with other points."""
-    added = preparation.with_internal_step(preparation.prepare_recordings(recordings, point.structure), point.structure)
-    added = [replace(in_mesh(c, point), reading_variance=first.reading_variance) for c in added]
-    cases = [*preparation.with_internal_step([first], point.structure), *added]
+    added = preparation.prepare_recordings(recordings, point.structure).recordings
+    cases = [first, *(replace(in_mesh(c, point), reading_variance=first.reading_variance) for c in added)]
     starts = [{n: p.values.get(n, v) for n, v in point.values.items()} for p in (point, *others)]
-    tried = [local_optima.refit(cases, point.structure, v, {}, point.process_noise) for v in starts]
+    tried = [
+        local_optima.refit(FitProblem(cases, process_noise=point.process_noise), point.structure, v) for v in starts
+    ]
     return min(tried, key=lambda p: p.deviance)
 
 
-def smallest(first: Recording) -> tuple[list[PreparedRecording], Fit, Fit]:
+def smallest(first: Recording) -> tuple[FitProblem, list[Fit], Fit]:
     """The base model of a recording, roughly and as structures compete with it, the way the tool comes to it."""
     structure = preparation.base_structure()
-    cases, rough = multistart.coarse_starts([first], structure, {})
-    cases, fine = multistart.leave_local_optima(cases, multistart.fit_from_starts(cases, structure, rough, {}))
-    return (
-        cases,
-        rough,
-        local_optima.refit(cases, structure, fine.values, {}, local_optima.judging_process_noise(cases, fine)),
-    )
+    problem, rough = multistart.coarse_starts([first], structure, {})
+    problem, fine = multistart.leave_local_optima(problem, multistart.fit_from_starts(problem, structure, rough))
+    noise = local_optima.judging_process_noise(problem, fine)
+    return problem, rough, local_optima.refit(problem.at(noise), structure, fine.values)
 
 
 # ---- the worst-known parameter ----
@@ -163,8 +167,8 @@ def smallest(first: Recording) -> tuple[list[PreparedRecording], Fit, Fit]:
 
 def worths(recording: Recording, first: PreparedRecording, point: Fit) -> tuple[Array, Array]:
     """Of each stretch of a recording: slope (m, n) and information (m, n, n) about the free parameters."""
-    (case,) = preparation.with_internal_step(
-        preparation.prepare_recordings([recording], point.structure), point.structure
+    (case,) = FitProblem(preparation.prepare_recordings([recording], point.structure).recordings).stepped(
+        point.structure
     )
     case = replace(in_mesh(case, point), reading_variance=first.reading_variance)
     run = likelihood.innovations(case, point.structure, point.values, point.process_noise, point.free)
@@ -193,7 +197,8 @@ def parameter_trial(seed: int) -> Row | None:
     rng = np.random.default_rng([seed, 1])
     rig = draw_rig(rng)
     first = record(rig, [], paper(FIRST, rng), seed)
-    cases, _, point = smallest(first)
+    problem, _, point = smallest(first)
+    cases = problem.recordings
     limits = given_limits(first)
     design = design_for_precision(point, cases, limits)
     if len(design.time) == 0:
@@ -224,11 +229,11 @@ def parameter_trial(seed: int) -> Row | None:
 # ---- two rivals ----
 
 
-def rivals(first: Recording, pair: tuple[str, str]) -> tuple[list[PreparedRecording], dict[str, Fit]]:
+def rivals(first: Recording, pair: tuple[str, str]) -> tuple[Sequence[PreparedRecording], dict[str, Fit]]:
     """Both models of a pair as the tool fits them; one may be missing where a recording cannot show it."""
-    cases, rough, base = smallest(first)
-    found = selection_round.run_round(cases, base, rough, pair, {})
-    return cases, {h.added[0]: h.point for h in found.rivals}
+    problem, _, base = smallest(first)
+    found = selection_round.run_round(problem, base, (), pair)
+    return problem.recordings, {h.added[0]: h.point for h in found.rivals}
 
 
 def units(one: Fit, other: Fit) -> float:

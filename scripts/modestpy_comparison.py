@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from twin.estimation import optimizer, prepared_recording
+from twin.estimation.problem import FitProblem
 from twin.fmi import native_fmu
 from twin.io.recording import Recording
 from twin.model.fitted_model import Model
@@ -71,7 +72,9 @@ def ours(recording: Recording) -> tuple[dict[str, float], float]:
     for _ in range(4):
         begun = time.process_time()
         fits.append(
-            optimizer.levenberg_marquardt([case], STRUCTURE, BEGIN, 0.0, tuple(TRUTH), rounds=100, tolerance=1e-9)
+            optimizer.levenberg_marquardt(
+                FitProblem([case], process_noise=0.0), STRUCTURE, BEGIN, tuple(TRUTH), rounds=100, tolerance=1e-9
+            )
         )
         seconds.append(time.process_time() - begun)
     return fits[-1].values, min(seconds[1:])

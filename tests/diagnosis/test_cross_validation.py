@@ -12,9 +12,10 @@ from scipy.signal import lfilter
 from twin.diagnosis import cross_validation, nonparametric, thresholds
 from twin.diagnosis.nonparametric import CurveTerm
 from twin.effects.knots import KNOTS, through
-from twin.estimation import filter_memory, likelihood, optimizer, preparation, prepared_recording
+from twin.estimation import filter_memory, likelihood, optimizer, prepared_recording
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem, free_parameters
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -39,41 +40,53 @@ def recorded(hump: float, seconds: float = 20.0) -> Recording:
 def compared(recording: Recording) -> tuple[list[PreparedRecording], Fit, Fit]:
     cases = [prepared_recording.prepare_recording(recording, PLAIN)]
     process_noise = filter_memory.process_noise_of(cases[0], 0.1)
-    plain = optimizer.levenberg_marquardt(cases, PLAIN, VALUES, process_noise, preparation.free_parameters(PLAIN))
-    return cases, plain, nonparametric.fit_curve(cases, nonparametric.sketch_curve(cases, plain, CurveTerm("velocity")))
+    plain = optimizer.levenberg_marquardt(
+        FitProblem(cases, process_noise=process_noise), PLAIN, VALUES, free_parameters(PLAIN)
+    )
+    return (
+        cases,
+        plain,
+        nonparametric.fit_curve(
+            FitProblem(cases), nonparametric.sketch_curve(FitProblem(cases), plain, CurveTerm("velocity"))
+        ),
+    )
 
 
 def test_what_is_there_is_foretold():
     cases, plain, curve = compared(recorded(hump=2.0))
-    assert cross_validation.gain_p_value(cases, plain, curve) < thresholds.CURVE_MAX_P_VALUE
+    assert cross_validation.gain_p_value(FitProblem(cases), plain, curve) < thresholds.CURVE_MAX_P_VALUE
 
 
 def test_knots_that_follow_slow_noise_foretell_nothing():
     cases, plain, curve = compared(recorded(hump=0.0))
     assert plain.deviance - curve.deviance > 10.0 * KNOTS  # white noise would give each knot about one
-    assert cross_validation.gain_p_value(cases, plain, curve) > 0.05
+    assert cross_validation.gain_p_value(FitProblem(cases), plain, curve) > 0.05
 
 
 def test_a_model_does_no_better_than_itself():
     cases, plain, _ = compared(recorded(hump=0.0))
-    assert cross_validation.gain_p_value(cases, plain, plain) == 1.0
+    assert cross_validation.gain_p_value(FitProblem(cases), plain, plain) == 1.0
 
 
 def test_every_reading_that_is_judged_is_left_out_once():
     """With nothing to fit, what the stretches gain is what the models differ by on all that is judged."""
     cases, plain, _ = compared(recorded(hump=0.5))
-    other = likelihood.evaluate(cases, PLAIN, {**plain.values, "viscous_friction": 2.2}, plain.process_noise)
-    found = cross_validation.block_gains(cases, plain, other)
-    (one,), (two,) = (cross_validation._reading_losses(cases, p, plain.scale) for p in (plain, other))
+    other = likelihood.evaluate(
+        FitProblem(cases, process_noise=plain.process_noise), PLAIN, {**plain.values, "viscous_friction": 2.2}
+    )
+    found = cross_validation.block_gains(FitProblem(cases), plain, other)
+    (one,), (two,) = (cross_validation._reading_losses(FitProblem(cases), p, plain.scale) for p in (plain, other))
     assert len(found) == 40 and found.sum() == pytest.approx(one.sum() - two.sum())
     hidden = cases[0].drive.time < 7.0
-    (judged,) = preparation.with_internal_step([replace(cases[0], contact_mask=hidden)], PLAIN)
-    assert cross_validation.block_gains([judged], plain, other).sum() == pytest.approx((one - two)[~hidden].sum())
+    (judged,) = FitProblem([replace(cases[0], contact_mask=hidden)]).stepped(PLAIN)
+    assert cross_validation.block_gains(FitProblem([judged]), plain, other).sum() == pytest.approx(
+        (one - two)[~hidden].sum()
+    )
 
 
 def test_of_a_few_seconds_nothing_is_said():
     cases, plain, curve = compared(recorded(hump=2.0, seconds=4.0))
-    assert cross_validation.gain_p_value(cases, plain, curve) == 1.0
+    assert cross_validation.gain_p_value(FitProblem(cases), plain, curve) == 1.0
 
 
 def test_what_acts_in_a_few_places_only_is_no_chance() -> None:

@@ -16,6 +16,7 @@ from twin.effects.knots import KNOTS, names, spots, through
 from twin.estimation import likelihood, optimizer, preparation, prepared_recording
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem, free_parameters
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -49,8 +50,10 @@ def recorded(truth: Structure, largest: float = 25.0, **values: float) -> Record
 def named(recording: Recording) -> tuple[list[PreparedRecording], Fit]:
     """Gravity and spring, fitted from where they cancel and from where they do not."""
     cases = [prepared_recording.prepare_recording(recording, BOTH)]
-    free = preparation.free_parameters(BOTH)
-    fits = [optimizer.fit_with_process_noise(cases, BOTH, VALUES | begin, free) for begin in (AGAINST, WITH)]
+    free = free_parameters(BOTH)
+    fits = [
+        optimizer.fit_with_process_noise(FitProblem(cases), BOTH, VALUES | begin, free) for begin in (AGAINST, WITH)
+    ]
     return cases, min(fits, key=lambda p: p.deviance)
 
 
@@ -64,16 +67,21 @@ def test_any_effect_may_stand_beside_gravity(effect: str) -> None:
     """Only torques that follow from the position alone can be pieces of a curve over it: a stop has damping, too."""
     cases, both = stiffening()[0], STRUCTURE.with_("gravity", effect)
     sane = {p.name: float(np.mean(SANE[p.name])) for p in both.parameters if p.name in SANE}
-    last = likelihood.evaluate(cases, both, preparation.complete_values(both, VALUES | sane), 1.0)
-    found = curve_substitution.substitute_cancelling(cases, STRUCTURE, last)
+    last = likelihood.evaluate(
+        FitProblem(cases, process_noise=1.0), both, preparation.complete_values(both, VALUES | sane)
+    )
+    found = curve_substitution.substitute_cancelling(FitProblem(cases), STRUCTURE, last)
     assert found is None or set(found.ids) <= {"gravity", "spring", "torque_ripple", "constant_offset"}
 
 
 def test_a_spring_that_stiffens_is_not_a_spring_and_gravity():
     cases, last = stiffening()
-    pieces = curve_substitution.substitute_cancelling(cases, STRUCTURE, last)
+    pieces = curve_substitution.substitute_cancelling(FitProblem(cases), STRUCTURE, last)
     assert pieces is not None and set(pieces.ids) == {"gravity", "spring"}
-    assert curve_substitution._remaining_stiffness(cases, last, pieces.ids) < thresholds.MAX_CANCELLED_STIFFNESS
+    assert (
+        curve_substitution._remaining_stiffness(FitProblem(cases), last, pieces.ids)
+        < thresholds.MAX_CANCELLED_STIFFNESS
+    )
     assert pieces.curve.structure == STRUCTURE.with_("unknown_position")
     got, size = pieces.curve.values, np.sqrt(np.diag(pieces.curve.covariance) * pieces.curve.scale)
     planted = interp1d(SPOTS, -STIFFENING * SPOTS**3, fill_value="extrapolate")
@@ -104,7 +112,9 @@ def test_what_is_left_of_their_stiffness_is_what_it_is_where_they_cancel_most(mo
         values = VALUES | begin | {"gravity_gain": 4.8 * strength}
         both = Fit(BOTH, values, 1.0, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
         left = abs(1.0 - strength * most) / min(strength, 1.0)
-        assert curve_substitution._remaining_stiffness([], both, ("gravity", "spring")) == pytest.approx(left, abs=0.01)
+        assert curve_substitution._remaining_stiffness(FitProblem([]), both, ("gravity", "spring")) == pytest.approx(
+            left, abs=0.01
+        )
 
 
 @pytest.mark.parametrize(
@@ -117,7 +127,7 @@ def test_what_is_left_of_their_stiffness_is_what_it_is_where_they_cancel_most(mo
 )
 def test_names_stay_where_they_do_not_cancel_or_do_more(values, largest, drawn):
     cases, last = named(recorded(BOTH, largest, **values))
-    assert (curve_substitution.substitute_cancelling(cases, STRUCTURE, last) is not None) is drawn
+    assert (curve_substitution.substitute_cancelling(FitProblem(cases), STRUCTURE, last) is not None) is drawn
 
 
 #: A resistance that has a hump on one side of a straight line over speed, at twelve knots.
@@ -144,9 +154,9 @@ def test_a_name_stays_unless_its_law_is_not_what_is_there(effect, truth, values,
     cases = [prepared_recording.prepare_recording(recorded(STRUCTURE.with_(truth), 25.0, **values), one)]
     begin = VALUES | {p.name: float(np.mean(SANE[p.name])) for p in one.parameters if p.name in SANE}
     last = optimizer.fit_with_process_noise(
-        cases, one, preparation.complete_values(one, begin | VALUES), preparation.free_parameters(one)
+        FitProblem(cases), one, preparation.complete_values(one, begin | VALUES), free_parameters(one)
     )
-    found = curve_substitution.best_substitution(cases, STRUCTURE, last)
+    found = curve_substitution.best_substitution(FitProblem(cases), STRUCTURE, last)
     if variable is None:
         assert found is None
     else:
@@ -164,7 +174,7 @@ def test_a_curve_does_what_the_names_do_where_its_sketch_is_led_astray(monkeypat
     one = STRUCTURE.with_(effect)
     cases = [prepared_recording.prepare_recording(recorded(one, 25.0, **values), one)]
     last = optimizer.fit_with_process_noise(
-        cases, one, preparation.complete_values(one, VALUES | values), preparation.free_parameters(one)
+        FitProblem(cases), one, preparation.complete_values(one, VALUES | values), free_parameters(one)
     )
     honest = curve_substitution.nonparametric.sketch_curve
 
@@ -175,7 +185,7 @@ def test_a_curve_does_what_the_names_do_where_its_sketch_is_led_astray(monkeypat
 
     monkeypatch.setattr(curve_substitution.nonparametric, "sketch_curve", misled)
     variable = "position" if effect == "spring" else "velocity"
-    curve = curve_substitution._fit_curve_instead(cases, last, [effect], variable)
+    curve = curve_substitution._fit_curve_instead(FitProblem(cases), last, [effect], variable)
     assert curve.deviance < last.deviance + 20.0
 
 
@@ -185,9 +195,9 @@ def test_a_curve_takes_no_name_s_place_unless_it_foretells(monkeypatch, chance, 
     one = STRUCTURE.with_("spring")
     cases = [prepared_recording.prepare_recording(recorded(STRUCTURE.with_("unknown_position"), 25.0, **CURVE), one)]
     begin = preparation.complete_values(one, VALUES | {"spring_stiffness": 4.8})
-    last = optimizer.fit_with_process_noise(cases, one, begin, preparation.free_parameters(one))
+    last = optimizer.fit_with_process_noise(FitProblem(cases), one, begin, free_parameters(one))
     monkeypatch.setattr(curve_substitution.cross_validation, "gain_p_value", lambda cases, smaller, larger: chance)
-    assert (curve_substitution.substitute_curve(cases, STRUCTURE, last, "position") is not None) is drawn
+    assert (curve_substitution.substitute_curve(FitProblem(cases), STRUCTURE, last, "position") is not None) is drawn
 
 
 @pytest.mark.parametrize(("rough", "drawn"), [(0.0, False), (0.02, False), (0.06, True)])
@@ -202,9 +212,9 @@ def test_a_law_may_miss_a_little_of_what_a_machine_does(monkeypatch, rough, draw
         prepared_recording.prepare_recording(recorded(truth, 25.0, **through("unknown_position", SPOTS, torque)), one)
     ]
     begin = preparation.complete_values(one, VALUES | {"spring_stiffness": 4.8})
-    last = optimizer.fit_with_process_noise(cases, one, begin, preparation.free_parameters(one))
+    last = optimizer.fit_with_process_noise(FitProblem(cases), one, begin, free_parameters(one))
     monkeypatch.setattr(curve_substitution.selection_round, "is_confirmed", lambda cases, before, after: True)
-    assert (curve_substitution.substitute_curve(cases, STRUCTURE, last, "position") is not None) is drawn
+    assert (curve_substitution.substitute_curve(FitProblem(cases), STRUCTURE, last, "position") is not None) is drawn
 
 
 def test_a_name_that_does_nothing_beside_the_curve_goes():
@@ -213,14 +223,14 @@ def test_a_name_that_does_nothing_beside_the_curve_goes():
     more = both.with_("thermal_fade")
     cases = [prepared_recording.prepare_recording(recorded(truth, 25.0, coulomb_friction=0.3, **CURVE), more)]
     begin = preparation.complete_values(more, VALUES | {"spring_stiffness": 3.0, "coulomb_friction": 0.3})
-    last = optimizer.fit_with_process_noise(cases, more, begin, preparation.free_parameters(more))
-    found = curve_substitution.best_substitution(cases, STRUCTURE, last)
+    last = optimizer.fit_with_process_noise(FitProblem(cases), more, begin, free_parameters(more))
+    found = curve_substitution.best_substitution(FitProblem(cases), STRUCTURE, last)
     assert found is not None and found.curve.structure == truth
 
 
 def test_one_torque_or_what_the_first_model_knows_is_no_piece():
     cases, last = stiffening()
-    assert curve_substitution.substitute_cancelling(cases, STRUCTURE.with_("gravity"), last) is None
+    assert curve_substitution.substitute_cancelling(FitProblem(cases), STRUCTURE.with_("gravity"), last) is None
 
 
 def test_the_answer_is_a_curve_and_says_why(monkeypatch):
@@ -249,8 +259,8 @@ def test_friction_that_gives_takes_the_place_of_dry_friction(truth, values, firs
     dry = STRUCTURE.with_("coulomb_friction")
     cases = [prepared_recording.prepare_recording(recorded(STRUCTURE.with_(truth), 25.0, **values), dry)]
     begin = preparation.complete_values(dry, VALUES | {"coulomb_friction": 0.5})
-    last = optimizer.fit_with_process_noise(cases, dry, begin, preparation.free_parameters(dry))
-    found = curve_substitution.best_substitution(cases, first, last)
+    last = optimizer.fit_with_process_noise(FitProblem(cases), dry, begin, free_parameters(dry))
+    found = curve_substitution.best_substitution(FitProblem(cases), first, last)
     assert (found is not None) is bent
     if found is not None:
         assert found.ids == ("coulomb_friction",) and found.curve.structure == STRUCTURE.with_("unknown_bend")
@@ -270,8 +280,8 @@ def test_one_friction_that_gives_is_likelier_than_two_kinds_that_do_as_well(monk
     dry = STRUCTURE.with_("coulomb_friction", "load_dependent_friction")
     cases = [prepared_recording.prepare_recording(recorded(STRUCTURE.with_(*truth), 25.0, **values), dry)]
     begin = preparation.complete_values(dry, VALUES | {"coulomb_friction": 0.5, "load_friction": 0.1})
-    last = optimizer.fit_with_process_noise(cases, dry, begin, preparation.free_parameters(dry))
-    found = curve_substitution.substitute_presliding(cases, STRUCTURE, last)
+    last = optimizer.fit_with_process_noise(FitProblem(cases), dry, begin, free_parameters(dry))
+    found = curve_substitution.substitute_presliding(FitProblem(cases), STRUCTURE, last)
     assert (found is not None) is bent
     if found is not None:
         assert set(found.ids) == {"coulomb_friction", "load_dependent_friction"}

@@ -13,9 +13,10 @@ from twin.diagnosis import experiment_design
 from twin.diagnosis.experiment_design import Limits, design_for_discrimination, design_for_precision, library
 from twin.effects import knots
 from twin.errors import BadInput
-from twin.estimation import filter_memory, likelihood, optimizer, preparation, prepared_recording
+from twin.estimation import filter_memory, likelihood, optimizer, prepared_recording
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem, free_parameters
 from twin.io.recording import Recording
 from twin.model.stepper import BASE, Structure
 from twin.simulation import kernel
@@ -74,9 +75,11 @@ def fitted(recordings: list[Recording], *effects: str) -> tuple[Fit, list[Prepar
     """Maximum likelihood at the noise density that was planted, the best of a few starts: gap crossings are kinks."""
     structure = structure_of(*effects)
     cases = [prepared_recording.prepare_recording(r, structure) for r in recordings]
-    free = preparation.free_parameters(structure)
+    free = free_parameters(structure)
     starts = [{**values_of(*effects), "backlash_gap": gap, "motor_share": m} for gap, m in STARTS]
-    points = [optimizer.levenberg_marquardt(cases, structure, v, DENSITY, free) for v in starts]
+    points = [
+        optimizer.levenberg_marquardt(FitProblem(cases, process_noise=DENSITY), structure, v, free) for v in starts
+    ]
     return min(points, key=lambda p: p.deviance), cases
 
 
@@ -207,12 +210,12 @@ def test_a_missing_reversal_is_asked_for_and_does_what_was_promised():
     first = played((), *steps(6.0, (20.0, 30.0, 0.0, 25.0)))
     structure = structure_of()
     case = prepared_recording.prepare_recording(first, structure)
-    free = preparation.free_parameters(structure)
-    point = likelihood.evaluate([case], structure, VALUES, DENSITY, free)
+    free = free_parameters(structure)
+    point = likelihood.evaluate(FitProblem([case], process_noise=DENSITY), structure, VALUES, free)
     designed = design_for_precision(point, [case], Limits(input=40.0, travel=np.inf))
     assert len(designed.time) and designed.input.min() < -10.0
     second = prepared_recording.prepare_recording(played((), designed.time, designed.input, seed=2), structure)
-    after = likelihood.evaluate([case, second], structure, VALUES, DENSITY, free)
+    after = likelihood.evaluate(FitProblem([case, second], process_noise=DENSITY), structure, VALUES, free)
     sizes = np.array([VALUES[n] for n in free])
     relative = np.sqrt(np.diag(after.covariance)) / sizes
     before = np.sqrt(np.diag(point.covariance)) / sizes
@@ -228,7 +231,7 @@ def test_a_knot_that_is_known_worst_says_where_it_lies():
     # At this duty the axis comes to some 4 rad/s: not near the tenth knot.
     case = prepared_recording.prepare_recording(played((), *steps()), structure)
     point = likelihood.evaluate(
-        [case], structure, values, DENSITY, (*preparation.free_parameters(structure_of()), name)
+        FitProblem([case], process_noise=DENSITY), structure, values, (*free_parameters(structure_of()), name)
     )
     assert (
         "unknown_velocity_10 (value at knot 10 of 12, at 12 rad/s)" in design_for_precision(point, [case], Limits()).why
@@ -248,7 +251,9 @@ def test_readings_count_for_less_where_the_motor_rattles_in_its_gap():
     structure = structure_of().with_("tooth_compliance")
     case = prepared_recording.prepare_recording(played((), *steps()), structure)
     values = {**VALUES, "tooth_frequency": 100.0, "tooth_damping": 0.15}
-    point = likelihood.evaluate([case], structure, values, DENSITY, preparation.free_parameters(structure))
+    point = likelihood.evaluate(
+        FitProblem([case], process_noise=DENSITY), structure, values, free_parameters(structure)
+    )
     steady = rested(point, case, ((4.0, 30.0, 30.0),))
     rattle = rested(point, case, tuple((0.06, level, level) for level in (30.0, -30.0) * 33))
     assert np.mean(steady[500:]) < 1.5
@@ -260,7 +265,9 @@ def test_stiff_teeth_do_not_ring_up_in_the_design():
     structure = structure_of().with_("tooth_compliance")
     case = prepared_recording.prepare_recording(played((), *steps()), structure)
     values = {**VALUES, "tooth_frequency": 299.0, "tooth_damping": 0.46}
-    point = likelihood.evaluate([case], structure, values, DENSITY, preparation.free_parameters(structure))
+    point = likelihood.evaluate(
+        FitProblem([case], process_noise=DENSITY), structure, values, free_parameters(structure)
+    )
     designed = design_for_precision(point, [case])
     assert len(designed.time) and len(designed.about) == 1
     bench = experiment_design._rig_limits([point], [case], Limits())
@@ -275,9 +282,11 @@ def test_rigs_that_log_speed_get_an_experiment_too():
     truth = played(("coulomb_friction",), time, command)
     speed = replace(truth, output=np.gradient(truth.output, time), output_unit="rad/s", resolution=0.0)
     case = prepared_recording.prepare_recording(speed, structure)
-    free = preparation.free_parameters(structure)
+    free = free_parameters(structure)
     process_noise = filter_memory.process_noise_of(case, 0.1)
-    point = likelihood.evaluate([case], structure, values_of("coulomb_friction"), process_noise, free)
+    point = likelihood.evaluate(
+        FitProblem([case], process_noise=process_noise), structure, values_of("coulomb_friction"), free
+    )
     designed = design_for_discrimination([point], [case])
     assert len(designed.time) and "standard error" in designed.why
 

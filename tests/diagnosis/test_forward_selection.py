@@ -24,6 +24,7 @@ from twin.estimation import (
     prepared_recording,
 )
 from twin.estimation.fit import Fit
+from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 from twin.simulation import kernel
@@ -73,12 +74,12 @@ def test_what_only_a_long_memory_prefers_does_not_show(monkeypatch) -> None:
     monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: cases)
 
     def judged(better_until: float):
-        def climb(cases, structure, values, process_noise, free, rounds, tolerance):
-            shorter = memory / filter_memory.memory_of(case, process_noise)
+        def climb(problem, structure, values, free, rounds, tolerance):
+            shorter = memory / filter_memory.memory_of(case, problem.process_noise)
             return replace(point, deviance=0.0 if not values else -1.0 if shorter < better_until else 1.0)
 
         monkeypatch.setattr(optimizer, "levenberg_marquardt", climb)
-        return selection_round.is_confirmed([case], point, larger)
+        return selection_round.is_confirmed(FitProblem([case]), point, larger)
 
     assert judged(8.0)
     assert not judged(3.0) and not judged(1.5)
@@ -101,14 +102,14 @@ def test_a_slow_torque_has_to_do_no_more_than_a_shorter_memory_leaves_of_it(monk
     monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: cases)
     for left, shown in ((gain / 15.0, True), (gain / 17.0, False)):
 
-        def climb(cases, structure, values, process_noise, free, rounds, tolerance, left=left):
-            shortest = filter_memory.memory_of(case, process_noise) < 0.03
+        def climb(problem, structure, values, free, rounds, tolerance, left=left):
+            shortest = filter_memory.memory_of(case, problem.process_noise) < 0.03
             better = 1.0 if shortest else -left
-            return replace(point, process_noise=process_noise, deviance=better if values else 0.0)
+            return replace(point, process_noise=problem.process_noise, deviance=better if values else 0.0)
 
         monkeypatch.setattr(optimizer, "levenberg_marquardt", climb)
         assert left < thresholds.MIN_GAIN
-        assert selection_round.is_confirmed([case], point, larger) is shown
+        assert selection_round.is_confirmed(FitProblem([case]), point, larger) is shown
 
 
 @pytest.mark.parametrize(
@@ -137,9 +138,11 @@ def test_a_filter_that_can_know_too_little_vetoes_nothing_that_was_sure(monkeypa
     def short(at: float) -> bool:
         return filter_memory.memory_of(case, at) < 0.03
 
-    def climb(cases, structure, values, process_noise, free, rounds, tolerance):
-        gained = left if short(process_noise) else before
-        return replace(larger if values else point, process_noise=process_noise, deviance=-gained if values else 0.0)
+    def climb(problem, structure, values, free, rounds, tolerance):
+        gained = left if short(problem.process_noise) else before
+        return replace(
+            larger if values else point, process_noise=problem.process_noise, deviance=-gained if values else 0.0
+        )
 
     monkeypatch.setattr(
         model_comparison,
@@ -148,7 +151,7 @@ def test_a_filter_that_can_know_too_little_vetoes_nothing_that_was_sure(monkeypa
     )
     monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: cases)
     monkeypatch.setattr(optimizer, "levenberg_marquardt", climb)
-    assert selection_round.is_confirmed([case], point, larger) is shown
+    assert selection_round.is_confirmed(FitProblem([case]), point, larger) is shown
 
 
 @pytest.mark.parametrize(("left", "shown"), [(-1.0, False), (2.0, False), (5.0, True)])
@@ -168,13 +171,15 @@ def test_a_curve_pays_for_its_knots_once(monkeypatch, left, shown) -> None:
     )
     monkeypatch.setattr(model_comparison, "is_significant", lambda *args: True)
     monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: cases)
-    monkeypatch.setattr(selection_round, "GAIN_KEPT_AT_HALF_MEMORY", 1.0 / 64.0)
+    monkeypatch.setattr(thresholds, "GAIN_KEPT_AT_HALF_MEMORY", 1.0 / 64.0)
 
-    def climb(cases, structure, values, process_noise, free, rounds, tolerance):
-        return replace(larger if values else point, process_noise=process_noise, deviance=-left if values else 0.0)
+    def climb(problem, structure, values, free, rounds, tolerance):
+        return replace(
+            larger if values else point, process_noise=problem.process_noise, deviance=-left if values else 0.0
+        )
 
     monkeypatch.setattr(optimizer, "levenberg_marquardt", climb)
-    assert selection_round.is_confirmed([case], point, larger) is shown
+    assert selection_round.is_confirmed(FitProblem([case]), point, larger) is shown
 
 
 def test_what_a_rough_likelihood_gives_anywhere_is_no_gain(monkeypatch) -> None:
@@ -190,12 +195,12 @@ def test_what_a_rough_likelihood_gives_anywhere_is_no_gain(monkeypatch) -> None:
     monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: cases)
     for jump, shown in ((0.0, True), (1.0, True), (4.0, False)):
 
-        def trembling(cases, structure, trials, process_noise, jump=jump):
+        def trembling(problem, structure, trials, jump=jump):
             own = after if trials[0]["backlash_gap"] > 0.025 else before
             return [own.deviance + jump * thresholds.MIN_GAIN * (-1.0) ** i for i in range(len(trials))]
 
         monkeypatch.setattr(likelihood, "deviances", trembling)
-        assert selection_round.is_confirmed([case], before, after) is shown
+        assert selection_round.is_confirmed(FitProblem([case]), before, after) is shown
 
 
 def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
@@ -224,8 +229,8 @@ def test_an_effect_bent_into_something_else_is_not_that_effect() -> None:
         cases = [prepared_recording.prepare_recording(turning, structure)]
         values = preparation.complete_values(structure, {"disturbance": 0.01, "fade": 0.1})
         for value, right in ((kept, True), (bent, False)):
-            point = likelihood.evaluate(cases, structure, {**values, name: value}, 1.0)
-            assert is_plausible(cases, point) is right, (effect, value)
+            point = likelihood.evaluate(FitProblem(cases, process_noise=1.0), structure, {**values, name: value})
+            assert is_plausible(FitProblem(cases), point) is right, (effect, value)
 
 
 @pytest.mark.parametrize(("speed", "right"), [(0.1, True), (0.02, False)])  # 6.4 counts, and a quarter of one
@@ -236,7 +241,10 @@ def test_friction_that_falls_within_a_count_is_what_bristles_do(speed: float, ri
     cases = [prepared_recording.prepare_recording(turning, structure)]
     friction = {"coulomb_friction": 0.2, "stribeck_friction": 2.3, "stribeck_velocity": speed}
     values = preparation.complete_values(structure, friction)
-    assert is_plausible(cases, likelihood.evaluate(cases, structure, values, 1.0)) is right
+    assert (
+        is_plausible(FitProblem(cases), likelihood.evaluate(FitProblem(cases, process_noise=1.0), structure, values))
+        is right
+    )
 
 
 def test_what_a_first_model_has_and_the_rig_has_not_speaks_against_nothing_that_is_added() -> None:
@@ -247,14 +255,18 @@ def test_what_a_first_model_has_and_the_rig_has_not_speaks_against_nothing_that_
 
     def at(structure: Structure, **values: float) -> Fit:
         return likelihood.evaluate(
-            cases, structure, preparation.complete_values(structure, {"delay": 2e-4, **values}), 1.0
+            FitProblem(cases, process_noise=1.0),
+            structure,
+            preparation.complete_values(structure, {"delay": 2e-4, **values}),
         )
 
     for rest, right in ((1.0, True), (50.0, False)):
         longer = at(first.with_("spring"), spring_rest=rest)
-        assert is_plausible(cases, longer, at(first)) is right and not is_plausible(cases, longer)
+        assert is_plausible(FitProblem(cases), longer, at(first)) is right and not is_plausible(
+            FitProblem(cases), longer
+        )
         # A delay that the addition has eaten up was one before.
-        assert not is_plausible(cases, longer, at(first, delay=0.01))
+        assert not is_plausible(FitProblem(cases), longer, at(first, delay=0.01))
 
 
 def test_a_spring_that_is_bent_into_a_constant_is_no_rival_to_one() -> None:
@@ -270,8 +282,10 @@ def test_a_spring_that_is_bent_into_a_constant_is_no_rival_to_one() -> None:
         y, _ = run(there, values | planted, time, shaken)
         recording = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
         cases = [prepared_recording.prepare_recording(recording, plain)]
-        before = local_optima.refit(cases, plain, values, {}, filter_memory.process_noise_of(cases[0], 0.1))
-        found = selection_round.run_round(cases, before, [], ("constant_offset", "spring"), {})
+        before = local_optima.refit(
+            FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], 0.1)), plain, values
+        )
+        found = selection_round.run_round(FitProblem(cases), before, [], ("constant_offset", "spring"))
         assert found.won and found.rivals[0].added == there.named[-1:]
         assert (("spring",) in [h.added for h in found.rivals]) is ("offset" not in planted)
 
@@ -285,11 +299,13 @@ def test_where_a_recording_begins_is_no_stop() -> None:
     for name, value, right in (
         ("stop_upper", 5.99, True), ("stop_lower", 0.001, False), ("stop_lower", -1.0, True), ("stop_upper", 7.0, True),
     ):  # fmt: skip
-        point = likelihood.evaluate(cases, structure, {**values, name: value}, 1.0)
-        assert is_plausible(cases, point) is right, (name, value)
+        point = likelihood.evaluate(FitProblem(cases, process_noise=1.0), structure, {**values, name: value})
+        assert is_plausible(FitProblem(cases), point) is right, (name, value)
     # What is met at the other end is none the less for it.
-    point = likelihood.evaluate(cases, structure, {**values, "stop_lower": 0.001, "stop_upper": 5.99}, 1.0)
-    assert is_plausible(cases, point)
+    point = likelihood.evaluate(
+        FitProblem(cases, process_noise=1.0), structure, {**values, "stop_lower": 0.001, "stop_upper": 5.99}
+    )
+    assert is_plausible(FitProblem(cases), point)
 
 
 @pytest.mark.parametrize("lower", [-1e3, -0.3])
@@ -307,12 +323,16 @@ def test_a_stop_that_nothing_met_is_nowhere(lower: float) -> None:
     made = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
     cases = [prepared_recording.prepare_recording(made, stopped)]
     begun = {**values, "stop_lower": max(lower, float(y.min()) + count)}
-    last = local_optima.refit(cases, stopped, begun, {}, filter_memory.process_noise_of(cases[0], 0.1))
-    found = forward_selection._without_unmet_stops(cases, last)
+    last = local_optima.refit(
+        FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], 0.1)), stopped, begun
+    )
+    found = forward_selection._without_unmet_stops(FitProblem(cases), last)
     assert y.max() > 0.3 and (lower == -1e3 or y.min() < lower)
     assert found.values["stop_upper"] == pytest.approx(0.3, abs=2e-3)
     assert found.values["stop_lower"] == pytest.approx(lower, abs=2e-3)
-    assert maximum_likelihood.to_model(cases, found, [made], {}).says("end_stop").count("none met") == (lower == -1e3)
+    assert maximum_likelihood.to_model(FitProblem(cases), found, [made]).says("end_stop").count("none met") == (
+        lower == -1e3
+    )
 
 
 def test_friction_that_acts_only_where_the_way_ends_is_a_stop() -> None:
@@ -323,7 +343,10 @@ def test_friction_that_acts_only_where_the_way_ends_is_a_stop() -> None:
     values = {**preparation.complete_values(structure, {}), "coulomb_friction": 0.0, "friction_variation": 2.0}
     for angle, coulomb, right in ((0.0, 0.0, True), (-3.1, 0.0, False), (-3.1, 1.9, True)):
         tried = {**values, "friction_angle": angle, "coulomb_friction": coulomb}
-        assert is_plausible(cases, likelihood.evaluate(cases, structure, tried, 1.0)) is right, (angle, coulomb)
+        assert (
+            is_plausible(FitProblem(cases), likelihood.evaluate(FitProblem(cases, process_noise=1.0), structure, tried))
+            is right
+        ), (angle, coulomb)
 
 
 def test_a_weak_torque_shows_although_a_filter_that_forgets_fast_does_not_see_it() -> None:
@@ -339,12 +362,16 @@ def test_a_weak_torque_shows_although_a_filter_that_forgets_fast_does_not_see_it
     recording = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
     cases = [prepared_recording.prepare_recording(recording, plain)]
     process_noise = filter_memory.process_noise_of(cases[0], 0.1)
-    before = local_optima.refit(cases, plain, values, {}, process_noise)
-    after = local_optima.refit(cases, plain.with_("spring"), {**before.values, **weak}, {}, process_noise)
+    before = local_optima.refit(FitProblem(cases, process_noise=process_noise), plain, values)
+    after = local_optima.refit(
+        FitProblem(cases, process_noise=process_noise), plain.with_("spring"), {**before.values, **weak}
+    )
     assert model_comparison.overdispersion([before, after]) < thresholds.WHITE_OVERDISPERSION
-    smaller, larger = selection_round._refit_both(cases, before, after, filter_memory.process_noise_of(cases[0], 0.025))
+    smaller, larger = selection_round._refit_both(
+        FitProblem(cases), before, after, filter_memory.process_noise_of(cases[0], 0.025)
+    )
     assert not model_comparison.criterion_difference(larger, smaller) > 0.0
-    assert selection_round.is_confirmed(cases, before, after)
+    assert selection_round.is_confirmed(FitProblem(cases), before, after)
 
 
 def test_a_model_learns_nothing_from_one_that_is_no_longer_what_its_names_say() -> None:
@@ -358,11 +385,13 @@ def test_a_model_learns_nothing_from_one_that_is_no_longer_what_its_names_say() 
         return fit.Fit(structure, values, 1.0, (), deviance, 1.0, nothing, np.zeros(0), nothing)
 
     here, bent, learned = at(5.0, 0.0), at(-3.0, -900.0), at(6.0, -20.0)
-    assert selection_round._better_plausible(cases, here, [bent, learned]) is learned
-    assert selection_round._better_plausible(cases, here, [bent]) is here
-    assert selection_round._better_plausible(cases, bent, [at(-4.0, -950.0)]) is not bent  # it was none before, either
+    assert selection_round._better_plausible(FitProblem(cases), here, [bent, learned]) is learned
+    assert selection_round._better_plausible(FitProblem(cases), here, [bent]) is here
+    assert (
+        selection_round._better_plausible(FitProblem(cases), bent, [at(-4.0, -950.0)]) is not bent
+    )  # it was none before, either
     less = replace(bent, structure=Structure.of(BASE), values={}, deviance=1e6)
-    assert forward_selection._best_smaller(cases, here, [bent, less], less) is here
+    assert forward_selection._best_smaller(FitProblem(cases), here, [bent, less], less) is here
 
 
 def test_what_the_first_model_has_stays_where_what_contains_it_goes() -> None:
@@ -382,8 +411,8 @@ def test_what_a_law_misses_of_its_own_effect_is_no_other_effect() -> None:
         enough, scant = (
             replace(begun, deviance=much - times * thresholds.MIN_GAIN) for times in (needed, needed - 0.5)
         )
-        assert forward_selection._best_smaller([], enough, [less, begun], begun) is enough
-        assert forward_selection._best_smaller([], scant, [less, begun], begun) is less
+        assert forward_selection._best_smaller(FitProblem([]), enough, [less, begun], begun) is enough
+        assert forward_selection._best_smaller(FitProblem([]), scant, [less, begun], begun) is less
 
 
 def test_a_larger_model_is_never_behind_the_smaller_one_that_it_contains(monkeypatch) -> None:
@@ -392,12 +421,12 @@ def test_a_larger_model_is_never_behind_the_smaller_one_that_it_contains(monkeyp
     before = fit.Fit(base, {"input_gain": 0.3}, 1.0, (), 0.0, 1.0, nothing, [], nothing)
     after = replace(before, structure=base.with_("gravity"), values={"input_gain": 0.4, "gravity_gain": 2.0})
 
-    def climbed(cases, structure, values, process_noise, free, rounds, tolerance):
+    def climbed(problem, structure, values, free, rounds, tolerance):
         deviance = 100.0 * abs(values["input_gain"] - 0.3) + values.get("gravity_gain", 0.0)
         return replace(before, structure=structure, values=values, deviance=deviance)
 
     monkeypatch.setattr(optimizer, "levenberg_marquardt", climbed)
-    smaller, larger = selection_round._refit_both((), before, after, 1.0)
+    smaller, larger = selection_round._refit_both(FitProblem(()), before, after, 1.0)
     assert larger.structure == after.structure
     assert larger.deviance == smaller.deviance == 0.0
 
@@ -409,16 +438,15 @@ def test_a_rival_stands_where_another_does_with_its_own_effect(monkeypatch) -> N
     one = replace(plain, structure=base.with_("motor_lag"), values={**plain.values, "lag_time": 0.01})
     other = replace(plain, structure=base.with_("input_delay"), values={"input_gain": 0.4, "delay": 0.02})
 
-    def settled(cases, structure, values, held, process_noise):
+    def settled(problem, structure, values):
         return replace(one, structure=structure, values=values)
 
     monkeypatch.setattr(local_optima, "refit", settled)
     moved = selection_round._fit_from_other(
-        (),
+        FitProblem(()),
         selection_round.Hypothesis(("motor_lag",), one),
         selection_round.Hypothesis(("input_delay",), other),
         base,
-        {},
     )
     assert moved.added == ("motor_lag",) and moved.point.structure == one.structure
     assert moved.point.values == {"input_gain": 0.4, "backlash_gap": 0.02, "lag_time": 0.01}
@@ -440,9 +468,11 @@ def test_dry_friction_may_be_one_sided_where_nothing_ever_coasts(coasting: bool)
             Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain
         )
     ]
-    last = local_optima.refit(cases, plain, values, {}, filter_memory.process_noise_of(cases[0], 0.05))
+    last = local_optima.refit(
+        FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], 0.05)), plain, values
+    )
     first = plain.without("coulomb_friction")
-    wider = forward_selection._containing_alternatives(cases, last, first, CANDIDATES, {})
+    wider = forward_selection._containing_alternatives(FitProblem(cases), last, first, CANDIDATES)
     rivals = {w.rival: w for w in wider}
     assert ("friction_asymmetry" in rivals) is not coasting
     if not coasting:
@@ -450,10 +480,10 @@ def test_dry_friction_may_be_one_sided_where_nothing_ever_coasts(coasting: bool)
         assert abs(found.point.values["friction_asymmetry"]) == last.values["coulomb_friction"]
         assert model_comparison.criterion_difference(last, found.point) < 1.0
         # What is as good with a parameter more is not named for that.
-        assert forward_selection._prefer_containing(cases, last, [], wider, {}) == (last, wider)
+        assert forward_selection._prefer_containing(FitProblem(cases), last, [], wider) == (last, wider)
         # Neither what was not asked for nor what the first model knows comes into question.
-        assert forward_selection._containing_alternatives(cases, last, first, ("spring",), {}) == []
-        assert forward_selection._containing_alternatives(cases, last, plain, CANDIDATES, {}) == []
+        assert forward_selection._containing_alternatives(FitProblem(cases), last, first, ("spring",)) == []
+        assert forward_selection._containing_alternatives(FitProblem(cases), last, plain, CANDIDATES) == []
 
 
 @pytest.mark.parametrize("asymmetry", [0.0, 0.1])
@@ -474,7 +504,7 @@ def test_what_did_more_than_the_effect_that_it_contains_is_tried_at_its_own_size
     ]
     process_noise = filter_memory.process_noise_of(cases[0], 0.05)
     first, without, more = (
-        local_optima.refit(cases, s, values, {}, process_noise)
+        local_optima.refit(FitProblem(cases, process_noise=process_noise), s, values)
         for s in (plain.without("coulomb_friction"), plain, longer)
     )
     rivals = [
@@ -485,14 +515,16 @@ def test_what_did_more_than_the_effect_that_it_contains_is_tried_at_its_own_size
     assert bool(forward_selection._overtaking_fits(rounds, "coulomb_friction", "friction_asymmetry")) == bool(asymmetry)
     assert forward_selection._overtaking_fits(rounds, "coulomb_friction", "stribeck_friction") == []
     wider = forward_selection._containing_alternatives(
-        cases, without, first.structure, ["friction_asymmetry"], {}, rounds
+        FitProblem(cases), without, first.structure, ["friction_asymmetry"], rounds
     )
-    best, kept = forward_selection._prefer_containing(cases, without, [], wider, {})
+    best, kept = forward_selection._prefer_containing(FitProblem(cases), without, [], wider)
     if asymmetry:
         assert best.values["friction_asymmetry"] == pytest.approx(asymmetry, rel=0.05)
         assert [(w.effect, w.rival) for w in kept] == [("friction_asymmetry", "coulomb_friction")]
         assert (
-            forward_selection._containing_alternatives(cases, without, first.structure, ["friction_asymmetry"], {})
+            forward_selection._containing_alternatives(
+                FitProblem(cases), without, first.structure, ["friction_asymmetry"]
+            )
             == []
         )
     else:
@@ -503,13 +535,13 @@ def test_what_could_stand_for_an_effect_goes_with_it_where_a_larger_one_takes_it
     base, nothing = Structure.of(BASE), np.eye(0)
     last = fit.Fit(base.with_("coulomb_friction", "gravity"), {}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing)
     larger = replace(last, structure=last.structure.with_("friction_asymmetry"), deviance=-20.0)
-    monkeypatch.setattr(local_optima, "refit", lambda cases, structure, values, held, process_noise: larger)
+    monkeypatch.setattr(local_optima, "refit", lambda problem, structure, values: larger)
     swaps = [
         forward_selection.Alternative("coulomb_friction", "load_dependent_friction", last),
         forward_selection.Alternative("gravity", "spring", last),
     ]
     wider = [forward_selection.Alternative("coulomb_friction", "friction_asymmetry", larger)]
-    best, kept = forward_selection._prefer_containing((), last, swaps, wider, {})
+    best, kept = forward_selection._prefer_containing(FitProblem(()), last, swaps, wider)
     assert best is larger
     assert [(w.effect, w.rival) for w in kept] == [("gravity", "spring"), ("friction_asymmetry", "coulomb_friction")]
     assert {w.effect for w in kept} <= set(best.structure.named)
@@ -522,21 +554,23 @@ def test_what_did_not_last_is_followed_by_another_look(monkeypatch) -> None:
     wave, push = (replace(base, structure=base.structure.with_(e)) for e in ("gravity", "constant_offset"))
     grown, asked = iter([wave, push]), []
 
-    def grow(cases, best, candidates, held, tell, most):
+    def grow(problem, best, candidates, tell, most):
         asked.append(best)
         return next(grown), []
 
-    monkeypatch.setattr(forward_selection.multistart, "coarse_starts", lambda recordings, first, held: ([], [base]))
-    monkeypatch.setattr(forward_selection.multistart, "fit_from_starts", lambda cases, structure, begun, held: base)
-    monkeypatch.setattr(forward_selection.multistart, "leave_local_optima", lambda cases, point: ([], point))
+    monkeypatch.setattr(
+        forward_selection.multistart, "coarse_starts", lambda recordings, first, held: (FitProblem([]), [base])
+    )
+    monkeypatch.setattr(forward_selection.multistart, "fit_from_starts", lambda cases, structure, begun: base)
+    monkeypatch.setattr(forward_selection.multistart, "leave_local_optima", lambda cases, point: (cases, point))
     monkeypatch.setattr(local_optima, "judging_process_noise", lambda cases, point: 1.0)
-    monkeypatch.setattr(local_optima, "refit", lambda cases, structure, values, held, process_noise: base)
+    monkeypatch.setattr(local_optima, "refit", lambda problem, structure, values: base)
     monkeypatch.setattr(forward_selection.screening, "testable_candidates", lambda cases, candidates: candidates)
     monkeypatch.setattr(forward_selection, "_add_effects", grow)
     monkeypatch.setattr(
-        forward_selection, "_prune", lambda cases, best, begun, held: (base if best is wave else best, [base])
+        forward_selection, "_prune", lambda cases, best, begun: (base if best is wave else best, [base])
     )
-    monkeypatch.setattr(forward_selection, "refine_with_short_memory", lambda found, held, candidates: found)
+    monkeypatch.setattr(forward_selection, "refine_with_short_memory", lambda found, candidates: found)
     found = forward_selection.search([], base.structure, {})
     assert asked == [base, base]
     assert found.last is push
@@ -555,15 +589,22 @@ def test_a_delay_is_judged_where_a_few_steps_from_its_start_lead() -> None:
             Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count), plain
         )
     ]
-    base = local_optima.refit(cases, plain, values, {}, filter_memory.process_noise_of(cases[0], 0.1))
+    base = local_optima.refit(
+        FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], 0.1)), plain, values
+    )
     trials = [{"delay": t} for t in (0.006, 0.015)]
     longer = plain.with_("input_delay")
-    begun = min(likelihood.evaluate(cases, longer, {**base.values, **t}, base.process_noise).deviance for t in trials)
+    begun = min(
+        likelihood.evaluate(FitProblem(cases, process_noise=base.process_noise), longer, {**base.values, **t}).deviance
+        for t in trials
+    )
     free = (*base.free, "delay")
-    promise, found = screening._direct_start(cases, cases, base, "input_delay", trials, free)
+    promise, found = screening._direct_start(FitProblem(cases), FitProblem(cases), base, "input_delay", trials, free)
     assert begun > base.deviance
     assert found["delay"] == pytest.approx(0.001, abs=2e-4)
-    assert promise > 0.9 * (base.deviance - local_optima.refit(cases, longer, found, {}, base.process_noise).deviance)
+    assert promise > 0.9 * (
+        base.deviance - local_optima.refit(FitProblem(cases, process_noise=base.process_noise), longer, found).deviance
+    )
 
 
 def fitted(deviance: float, *effects: str, unit: float = 1.0) -> fit.Fit:
@@ -589,26 +630,28 @@ def test_the_search_begins_anew_with_what_had_earned_as_much_by_itself(monkeypat
     ends = {"joint_elasticity": joint.point, "input_delay": fitted(deviance, "motor_lag", "input_delay", unit=20.0)}
     begun = []
 
-    def climbed(cases, best, rounds, structure, candidates, held, tell):
+    def climbed(problem, best, rounds, structure, candidates, tell):
         begun.append([r.rivals[0].added[0] for r in rounds])
         return forward_selection.SearchResult(
-            first, ends[begun[-1][0] if rounds else "joint_elasticity"], tuple(rounds) or (this,), ()
+            first, ends[begun[-1][0] if rounds else "joint_elasticity"], tuple(rounds) or (this,), FitProblem(())
         )
 
-    monkeypatch.setattr(forward_selection.multistart, "coarse_starts", lambda recordings, first, held: ([], [first]))
-    monkeypatch.setattr(forward_selection.multistart, "fit_from_starts", lambda cases, structure, begun, held: first)
-    monkeypatch.setattr(forward_selection.multistart, "leave_local_optima", lambda cases, point: ([], point))
+    monkeypatch.setattr(
+        forward_selection.multistart, "coarse_starts", lambda recordings, first, held: (FitProblem([]), [first])
+    )
+    monkeypatch.setattr(forward_selection.multistart, "fit_from_starts", lambda cases, structure, begun: first)
+    monkeypatch.setattr(forward_selection.multistart, "leave_local_optima", lambda cases, point: (cases, point))
     monkeypatch.setattr(forward_selection.contact_masking, "without_contact_mask", lambda cases: cases)
     monkeypatch.setattr(local_optima, "judging_process_noise", lambda cases, point: 1.0)
-    monkeypatch.setattr(local_optima, "refit", lambda cases, structure, values, held, process_noise: first)
+    monkeypatch.setattr(local_optima, "refit", lambda problem, structure, values: first)
     monkeypatch.setattr(forward_selection.screening, "testable_candidates", lambda cases, candidates: candidates)
     monkeypatch.setattr(selection_round, "is_confirmed", lambda cases, before, after: True)
     monkeypatch.setattr(forward_selection, "_search_from", climbed)
     monkeypatch.setattr(forward_selection, "_offset_for_dead_bands", lambda cases, best, candidates: [])
     monkeypatch.setattr(
-        forward_selection, "_containing_alternatives", lambda cases, best, first, candidates, held, rounds: []
+        forward_selection, "_containing_alternatives", lambda cases, best, first, candidates, rounds: []
     )
-    monkeypatch.setattr(forward_selection, "refine_with_short_memory", lambda found, held, candidates: found)
+    monkeypatch.setattr(forward_selection, "refine_with_short_memory", lambda found, candidates: found)
     found = forward_selection.search([], first.structure, {})
     assert begun == [[], ["input_delay"]]
     assert found.last is ends["input_delay" if deviance < -6000.0 else "joint_elasticity"]
@@ -619,14 +662,14 @@ def test_what_the_search_begins_anew_with_shows_by_itself_and_had_not_been_refus
     joint, delay = hypothesis(-6000.0, "joint_elasticity", unit=100.0), hypothesis(-3000.0, "input_delay", unit=unit)
     slow = hypothesis(-2500.0, "gravity", unit=unit)
     this = selection_round.Round(first, (joint, delay, slow), 100.0)
-    found = forward_selection.SearchResult(first, joint.point, (this,), ())
+    found = forward_selection.SearchResult(first, joint.point, (this,), FitProblem(()))
     shown = {"input_delay", "gravity"}
     monkeypatch.setattr(
         selection_round, "is_confirmed", lambda cases, before, after: bool({*after.structure.named} & shown)
     )
 
     def begun(this: selection_round.Round, process_noise: float = 1.0) -> list[str]:
-        rounds = forward_selection._narrow_rounds((), replace(found, rounds=(this,)), process_noise)
+        rounds = forward_selection._narrow_rounds(FitProblem(()), replace(found, rounds=(this,)), process_noise)
         return [r.rivals[0].added[0] for r in rounds]
 
     assert begun(this) == ["input_delay", "gravity"]
@@ -641,7 +684,7 @@ def test_what_the_search_begins_anew_with_shows_by_itself_and_had_not_been_refus
     shown.remove("input_delay")
     assert begun(this) == ["gravity"]
     # Who had won the round is a rival of what the search begins anew with.
-    (anew,) = forward_selection._narrow_rounds((), replace(found, rounds=(this,)), 1.0)
+    (anew,) = forward_selection._narrow_rounds(FitProblem(()), replace(found, rounds=(this,)), 1.0)
     contest = forward_selection.round_margin([anew], slow.point.structure, "gravity")
     assert [h.added[0] for h, _ in contest.rivals] == ["joint_elasticity", "input_delay"]
 
@@ -649,8 +692,8 @@ def test_what_the_search_begins_anew_with_shows_by_itself_and_had_not_been_refus
 @pytest.mark.parametrize("deviance", [-9000.0, -5000.0])
 def test_the_end_that_lost_by_one_effect_could_stand_in_its_place(deviance: float) -> None:
     one, other = fitted(-6000.0, "gravity", "spring"), fitted(deviance, "gravity", "load_change")
-    searches = [forward_selection.SearchResult(fitted(0.0), end, (), ()) for end in (one, other)]
-    found = forward_selection._better_search((), *searches, {})
+    searches = [forward_selection.SearchResult(fitted(0.0), end, (), FitProblem(())) for end in (one, other)]
+    found = forward_selection._better_search(FitProblem(()), *searches)
     best, lost, effect, rival = (one, other, "spring", "load_change")
     if deviance < -6000.0:
         best, lost, effect, rival = other, one, rival, effect
@@ -660,9 +703,9 @@ def test_the_end_that_lost_by_one_effect_could_stand_in_its_place(deviance: floa
     ].point is lost
     # What is told already is not told twice, and ends that differ by more stand for no single effect.
     again = [replace(s, alternatives=(forward_selection.Alternative(effect, rival, lost),)) for s in searches]
-    assert len(forward_selection._better_search((), *again, {}).alternatives) == 1
+    assert len(forward_selection._better_search(FitProblem(()), *again).alternatives) == 1
     longer = replace(searches[1], last=fitted(0.0, "gravity", "load_change", "motor_lag"))
-    assert forward_selection._better_search((), searches[0], longer, {}) is searches[0]
+    assert forward_selection._better_search(FitProblem(()), searches[0], longer) is searches[0]
 
 
 def test_a_lost_round_is_looked_at_with_a_filter_that_remembers_longer_than_the_model_is_right(monkeypatch) -> None:
@@ -679,30 +722,32 @@ def test_a_lost_round_is_looked_at_with_a_filter_that_remembers_longer_than_the_
         assert base.process_noise == long and set(candidates) == set(selection_round.SLOW_EFFECTS)
         return seen
 
-    def compete(cases, base, known, candidates, held):
+    def compete(problem, base, known, candidates):
         assert list(known) == seen and set(candidates) == set(selection_round.SLOW_EFFECTS)
         return selection_round.Round(base, tuple(known), 1.0, True)
 
-    monkeypatch.setattr(local_optima, "refit", lambda *given: replace(before, process_noise=given[-1]))
+    monkeypatch.setattr(
+        local_optima, "refit", lambda problem, *rest: replace(before, process_noise=problem.process_noise)
+    )
     monkeypatch.setattr(
         optimizer, "most_likely_process_noise", lambda cases, structure, values, around: asked["density"]
     )
     monkeypatch.setattr(selection_round, "screen_candidates", contest)
     monkeypatch.setattr(selection_round, "run_round", compete)
     seen[:] = [plain]
-    found = selection_round.retry_with_long_memory(cases, lost, CANDIDATES, {})
+    found = selection_round.retry_with_long_memory(FitProblem(cases), lost, CANDIDATES)
     assert found.won and found.rivals == (plain,) and found.before.process_noise == long
     # What any filter with so long a memory may see by chance is nothing.
     seen[:] = [hypothesis(-0.8 * thresholds.MIN_GAIN_AT_OTHER_MEMORY, "spring")]
-    assert selection_round.retry_with_long_memory(cases, lost, CANDIDATES, {}) is lost
+    assert selection_round.retry_with_long_memory(FitProblem(cases), lost, CANDIDATES) is lost
     # A round that is won, no slow torque on offer, a memory as long, a model that is right for longer: nothing to ask.
     monkeypatch.setattr(selection_round, "screen_candidates", None)
     won, longest = replace(lost, won=True), replace(lost, before=replace(before, process_noise=long))
-    assert selection_round.retry_with_long_memory(cases, won, CANDIDATES, {}) is won
-    assert selection_round.retry_with_long_memory(cases, lost, ("torque_ripple",), {}) is lost
-    assert selection_round.retry_with_long_memory(cases, longest, CANDIDATES, {}) is longest
+    assert selection_round.retry_with_long_memory(FitProblem(cases), won, CANDIDATES) is won
+    assert selection_round.retry_with_long_memory(FitProblem(cases), lost, ("torque_ripple",)) is lost
+    assert selection_round.retry_with_long_memory(FitProblem(cases), longest, CANDIDATES) is longest
     asked["density"] = 0.9 * short
-    assert selection_round.retry_with_long_memory(cases, lost, CANDIDATES, {}) is lost
+    assert selection_round.retry_with_long_memory(FitProblem(cases), lost, CANDIDATES) is lost
 
 
 @pytest.mark.parametrize(("alone", "again"), [(-100.0, True), (-9000.0, False)])
@@ -711,7 +756,7 @@ def test_what_is_far_behind_the_one_that_it_is_taken_for_is_tried_in_its_place(m
     seen = [hypothesis(-9500.0, "gravity"), hypothesis(alone, "constant_offset"), hypothesis(-90.0, "motor_lag")]
     asked = []
 
-    def instead(cases, winner, structure, effect, held):
+    def instead(problem, winner, structure, effect):
         asked.append((winner.added, effect))
         return hypothesis(-9990.0, effect)
 
@@ -720,16 +765,16 @@ def test_what_is_far_behind_the_one_that_it_is_taken_for_is_tried_in_its_place(m
     monkeypatch.setattr(selection_round, "_fit_beside_free_motion", lambda *rest: [])
     monkeypatch.setattr(selection_round, "_refit_hypotheses", lambda cases, found, *rest: list(found))
     monkeypatch.setattr(selection_round, "_fit_in_place_of_winner", instead)
-    monkeypatch.setattr(selection_round, "plausible", lambda *rest: True)
+    monkeypatch.setattr(selection_round, "is_plausible", lambda *rest: True)
     monkeypatch.setattr(local_optima, "refit", lambda *rest: fitted(0.0))
-    monkeypatch.setattr(local_optima, "refit_through_best_noise", lambda cases, point, held: point)
+    monkeypatch.setattr(local_optima, "refit_through_best_noise", lambda cases, point: point)
     monkeypatch.setattr(selection_round, "_fit_on_other_gap_side", lambda *rest: [])
     monkeypatch.setattr(
         selection_round,
         "_decide_round",
-        lambda cases, before, found, held: selection_round.Round(before, tuple(found), 1.0),
+        lambda cases, before, found: selection_round.Round(before, tuple(found), 1.0),
     )
-    found = selection_round.run_round((), fitted(0.0), (), ("gravity", "constant_offset", "motor_lag"), {})
+    found = selection_round.run_round(FitProblem(()), fitted(0.0), (), ("gravity", "constant_offset", "motor_lag"))
     assert asked == ([(("gravity",), "constant_offset")] if again else [])
     best = {h.added[0]: h.deviance for h in found.rivals}
     assert best == {"gravity": -9500.0, "constant_offset": -9990.0 if again else alone, "motor_lag": -90.0}
@@ -752,14 +797,16 @@ def test_a_slow_torque_is_found_beside_a_fast_one_that_nobody_looks_for(monkeypa
         )
     ]
     before = local_optima.refit(
-        cases, plain, values, {}, filter_memory.process_noise_of(cases[0], local_optima.MIN_MEMORY)
+        FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], local_optima.MIN_MEMORY)),
+        plain,
+        values,
     )
     candidates = ("spring", "thermal_fade")
-    lost = selection_round.run_round(cases, before, (), candidates, {})
+    lost = selection_round.run_round(FitProblem(cases), before, (), candidates)
     assert not lost.won
     # As if something faster still kept the filter that a recording asks for short.
     monkeypatch.setattr(optimizer, "most_likely_process_noise", lambda cases, structure, values, around: 2.0 * around)
-    found = selection_round.retry_with_long_memory(cases, lost, candidates, {})
+    found = selection_round.retry_with_long_memory(FitProblem(cases), lost, candidates)
     if stiffness == 0.0:
         assert found is lost
     else:
@@ -777,19 +824,19 @@ def test_no_more_effects_than_that_are_looked_for(monkeypatch, alone: int, late:
         n = len(before.structure.named)
         return selection_round.Round(before, (selection_round.Hypothesis((names[n],), points[n + 1]),), 1.0, won)
 
-    def compete(cases, before, known, candidates, held):
+    def compete(problem, before, known, candidates):
         return following(before, len(before.structure.named) < alone)
 
-    def slower(cases, this, candidates, held):
+    def slower(problem, this, candidates):
         return following(this.before, True) if late and not this.won else this
 
     monkeypatch.setattr(selection_round, "run_round", compete)
     monkeypatch.setattr(selection_round, "retry_with_long_memory", slower)
-    monkeypatch.setattr(local_optima, "refit_at_own_noise", lambda cases, point, held: point)
-    monkeypatch.setattr(local_optima, "restart_gap", lambda cases, point, held: point)
-    monkeypatch.setattr(forward_selection, "_plain_winner", lambda cases, this, held: this.rivals[0].point)
-    monkeypatch.setattr(forward_selection, "plausible", lambda cases, point, before: True)
-    best, rounds = forward_selection._add_effects((), points[0], names, {}, lambda sentence, share: None)
+    monkeypatch.setattr(local_optima, "refit_at_own_noise", lambda cases, point: point)
+    monkeypatch.setattr(local_optima, "restart_gap", lambda cases, point: point)
+    monkeypatch.setattr(forward_selection, "_plain_winner", lambda cases, this: this.rivals[0].point)
+    monkeypatch.setattr(forward_selection, "is_plausible", lambda cases, point, before: True)
+    best, rounds = forward_selection._add_effects(FitProblem(()), points[0], names, lambda sentence, share: None)
     assert len(best.structure.named) == effects == sum(r.won for r in rounds) <= thresholds.MAX_EFFECTS
 
 
@@ -811,22 +858,26 @@ def test_of_two_effects_that_hide_each_other_one_is_taken_on_credit(friction: fl
         )
     ]
     before = local_optima.refit(
-        cases, plain, values, {}, filter_memory.process_noise_of(cases[0], local_optima.MIN_MEMORY)
+        FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], local_optima.MIN_MEMORY)),
+        plain,
+        values,
     )
-    gravity = selection_round.screen_candidates(cases, before, ["gravity"])[0]
+    gravity = selection_round.screen_candidates(FitProblem(cases), before, ["gravity"])[0]
     assert not model_comparison.is_significant(before, gravity.point)
     # As if its gain were just what it must be to be looked behind.
     just = (before.deviance - gravity.deviance) / thresholds.MIN_GAIN
     lost = selection_round.Round(before, (gravity,), 0.99 * just, won=False)
-    found = selection_round._won_with_second(cases, lost, ("gravity", "coulomb_friction"), {})
+    found = selection_round._won_with_second(FitProblem(cases), lost, ("gravity", "coulomb_friction"))
     assert found.won is bool(friction) and found.rivals == lost.rivals
     if friction:
-        after = selection_round.run_round(cases, found.rivals[0].point, (), ("coulomb_friction",), {})
+        after = selection_round.run_round(FitProblem(cases), found.rivals[0].point, (), ("coulomb_friction",))
         best = after.rivals[0].point.values
         assert after.won and best["coulomb_friction"] == pytest.approx(friction, rel=0.01)
         assert best["gravity_gain"] == pytest.approx(2.0, rel=0.01)
     # What gained less is not looked behind.
-    assert not selection_round._won_with_second(cases, replace(lost, overdispersion=1.01 * just), CANDIDATES, {}).won
+    assert not selection_round._won_with_second(
+        FitProblem(cases), replace(lost, overdispersion=1.01 * just), CANDIDATES
+    ).won
 
 
 def test_what_gains_much_with_a_rattling_motor_is_tried_with_the_smaller_model_s(monkeypatch) -> None:
@@ -837,16 +888,16 @@ def test_what_gains_much_with_a_rattling_motor_is_tried_with_the_smaller_model_s
     wild = replace(wild, values={"input_gain": 0.5, "motor_share": 0.02})
     asked = []
 
-    def settle(cases, structure, values, held, process_noise):
+    def settle(problem, structure, values):
         asked.append(values)
         return fitted(-9e3, "periodic_disturbance", "gravity", unit=10.0)
 
     monkeypatch.setattr(local_optima, "refit", settle)
-    monkeypatch.setattr(local_optima, "restart_gap", lambda cases, point, held: point)
-    sounder = selection_round._restart_for_gain((), smaller, wild, {})
+    monkeypatch.setattr(local_optima, "restart_gap", lambda cases, point: point)
+    sounder = selection_round._restart_for_gain(FitProblem(()), smaller, wild)
     assert asked == [{"input_gain": 0.5, "motor_share": 0.4}] and sounder.deviance == -9e3
     monkeypatch.setattr(local_optima, "refit", lambda *given: fitted(-9e3, "periodic_disturbance", "gravity", unit=1e4))
-    assert selection_round._restart_for_gain((), smaller, wild, {}) is wild
+    assert selection_round._restart_for_gain(FitProblem(()), smaller, wild) is wild
 
 
 @pytest.mark.parametrize("gain", [0.9, 0.09])
@@ -855,15 +906,15 @@ def test_what_would_earn_by_its_own_unit_is_tried_in_a_sounder_place_too(monkeyp
     best, other = fitted(-1e4, "gravity"), fitted(-gain * 10.0 * thresholds.MIN_GAIN, "motor_lag")
     rivals, moved = [selection_round.Hypothesis(p.structure.named, p) for p in (best, other)], []
 
-    def sounder(cases, before, point, held):
+    def sounder(problem, before, point):
         moved.append(point.structure.named)
         return point
 
     monkeypatch.setattr(model_comparison, "overdispersion", lambda points: 10.0 if best in points else 1.0)
-    monkeypatch.setattr(selection_round, "plausible", lambda *rest: True)
-    monkeypatch.setattr(selection_round, "_test_against_smaller", lambda cases, before, h, held: (before, False))
+    monkeypatch.setattr(selection_round, "is_plausible", lambda *rest: True)
+    monkeypatch.setattr(selection_round, "_test_against_smaller", lambda cases, before, h: (before, False))
     monkeypatch.setattr(selection_round, "_restart_for_gain", sounder)
-    assert not selection_round._decide_round((), fitted(0.0), rivals, {}).won
+    assert not selection_round._decide_round(FitProblem(()), fitted(0.0), rivals).won
     assert moved == [("gravity",), ("motor_lag",)][: 2 if gain > 0.1 else 1]
 
 
@@ -882,17 +933,23 @@ def test_a_lag_is_tried_on_the_other_side_of_the_dead_band(behind: float) -> Non
         )
     ]
     process_noise = filter_memory.process_noise_of(cases[0], local_optima.MIN_MEMORY)
-    before = local_optima.refit(cases, plain, values, {}, process_noise)
+    before = local_optima.refit(FitProblem(cases, process_noise=process_noise), plain, values)
     for side in (0.0, 1.0):
-        begun = local_optima.refit(cases, full, values | there | {"lag_dead_band": side}, {}, process_noise)
+        begun = local_optima.refit(
+            FitProblem(cases, process_noise=process_noise), full, values | there | {"lag_dead_band": side}
+        )
         (other,) = selection_round._fit_on_other_gap_side(
-            cases, before, selection_round.Hypothesis(("motor_lag",), begun), {}
+            FitProblem(cases), before, selection_round.Hypothesis(("motor_lag",), begun)
         )
         assert other.point.values["lag_dead_band"] == 1.0 - side
         assert (other.deviance < begun.deviance) == (side != behind)
-    delay = local_optima.refit(cases, plain.with_("input_delay"), values | {"delay": 0.03}, {}, process_noise)
+    delay = local_optima.refit(
+        FitProblem(cases, process_noise=process_noise), plain.with_("input_delay"), values | {"delay": 0.03}
+    )
     assert (
-        selection_round._fit_on_other_gap_side(cases, before, selection_round.Hypothesis(("input_delay",), delay), {})
+        selection_round._fit_on_other_gap_side(
+            FitProblem(cases), before, selection_round.Hypothesis(("input_delay",), delay)
+        )
         == []
     )
 
@@ -906,7 +963,7 @@ def test_what_goes_may_stand_in_the_place_of_what_stays(monkeypatch, lag: float)
     monkeypatch.setattr(local_optima, "held_values", lambda point: {})
     monkeypatch.setattr(local_optima, "refit", lambda *rest: delay)
     monkeypatch.setattr(local_optima, "best_refit", lambda *rest: joint)
-    monkeypatch.setattr(forward_selection, "_prune", lambda cases, best, begun, held: (best, [begun]))
+    monkeypatch.setattr(forward_selection, "_prune", lambda cases, best, begun: (best, [begun]))
     monkeypatch.setattr(
         forward_selection,
         "_alternatives",
@@ -918,7 +975,7 @@ def test_what_goes_may_stand_in_the_place_of_what_stays(monkeypatch, lag: float)
         ),
     )
     found = forward_selection.drop_effects(
-        forward_selection.SearchResult(first, both, (), (), alternatives=told), ["motor_lag"], {}
+        forward_selection.SearchResult(first, both, (), FitProblem(()), alternatives=told), ["motor_lag"], {}
     )
     alike = {(w.effect, w.rival): w.point for w in found.alternatives}
     if lag < delay.deviance:

@@ -14,7 +14,7 @@ from twin.effects.catalogue import BASE
 from twin.errors import BadInput
 from twin.estimation import maximum_likelihood, optimizer, preparation
 from twin.estimation.fit import Fit
-from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.fmi import python_fmu
 from twin.io.recording import Recording, load
 from twin.model.fitted_model import Model
@@ -40,10 +40,10 @@ def made(supply: float = 0.0, load: float = 0.0) -> Recording:
 
 def fitted(
     recording: Recording,
-) -> tuple[list[PreparedRecording], Fit, list[holdout.RecordingPart]]:
+) -> tuple[FitProblem, Fit, list[holdout.RecordingPart]]:
     train, held_out = holdout.split([recording])
-    cases = preparation.prepare_recordings(train, STRUCTURE)
-    return cases, optimizer.fit_with_process_noise(cases, STRUCTURE, VALUES, tuple(VALUES)), held_out
+    problem = preparation.prepare_recordings(train, STRUCTURE)
+    return problem, optimizer.fit_with_process_noise(problem, STRUCTURE, VALUES, tuple(VALUES)), held_out
 
 
 @pytest.mark.parametrize("supply", [0.0, 0.1])
@@ -54,10 +54,10 @@ def test_a_supply_that_is_logged_acts_once_in_what_is_held_out(supply: float) ->
 def test_a_supply_that_nobody_told_of_is_seen_there() -> None:
     """The same truth, so that the test above can fail: what is held out goes by another supply than what was fitted."""
     recording = made(0.1)
-    cases, point, held_out = fitted(recording)
+    problem, point, held_out = fitted(recording)
     volts = np.where(recording.time > held_out[0].begin, 0.5, 1.0) * recording.optional["supply"]
     (part,) = [replace(p, recording=replace(recording, optional={"supply": volts})) for p in held_out]
-    assert len(holdout.physics_only_in_holdout(cases, point, [part])) == 1
+    assert len(holdout.physics_only_in_holdout(problem, point, [part])) == 1
 
 
 def test_a_load_that_grew_a_little_just_before_is_seen_there() -> None:
@@ -76,7 +76,7 @@ def test_what_goes_with_the_acceleration_is_less_where_that_is(
     height = np.linspace(20.0, 60.0, len(time))[:: -1 if ends_slow else 1]
     duty = height * np.sin(2.0 * np.pi * 1.5 * time)
     y, _ = run(STRUCTURE, VALUES, time, duty)
-    cases, point, held_out = fitted(Recording("made", time, duty, np.round(y / COUNT) * COUNT, "%", "rad", COUNT))
+    problem, point, held_out = fitted(Recording("made", time, duty, np.round(y / COUNT) * COUNT, "%", "rad", COUNT))
 
     def examined(missing, lever):
         late = float(missing.time[0]) >= held_out[0].begin
@@ -84,7 +84,7 @@ def test_what_goes_with_the_acceleration_is_less_where_that_is(
         return nonparametric.RemainingDependence(0.5, 0.0, (goes,), goes, size if late else 0.06, ())
 
     monkeypatch.setattr(nonparametric, "examine_dependence", examined)
-    said = holdout.physics_only_in_holdout(cases, point, held_out)
+    said = holdout.physics_only_in_holdout(problem, point, held_out)
     assert ["goes with acceleration" in says for says in said] == [True] * seen
 
 
@@ -102,8 +102,8 @@ def test_where_every_recording_is_held_out_there_is_nothing_to_fit() -> None:
 def test_a_held_out_part_in_which_nothing_was_read_is_run_all_the_same() -> None:
     recording = made()
     blind = replace(recording, output=np.where(recording.time > 20.0, np.nan, recording.output))
-    cases, point, held_out = fitted(blind)
-    model: Model = maximum_likelihood.to_model(cases, point, [recording], {})
+    problem, point, held_out = fitted(blind)
+    model: Model = maximum_likelihood.to_model(problem, point, [recording])
     (shown,) = holdout.traces(model, model, [("holdout", held_out[0])])
     assert np.isnan(shown.recorded).all() and np.isfinite(shown.after).all()
 
@@ -137,10 +137,10 @@ def test_a_battery_that_runs_down_is_no_other_axis(tmp_path: Path) -> None:
     )
     full, low = (on_battery(v, tmp_path, i) for i, v in enumerate((12.6, 10.8)))
     both, _ = load([full, low])
-    cases = preparation.prepare_recordings(both, STRUCTURE)
-    point = optimizer.fit_with_process_noise(cases, STRUCTURE, VALUES, tuple(VALUES))
+    problem = preparation.prepare_recordings(both, STRUCTURE)
+    point = optimizer.fit_with_process_noise(problem, STRUCTURE, VALUES, tuple(VALUES))
     assert point.values["input_gain"] == pytest.approx(VALUES["input_gain"], rel=1e-3)
-    model = maximum_likelihood.to_model(cases, point, both, {})
+    model = maximum_likelihood.to_model(problem, point, both)
     fmu = python_fmu.export(model, tmp_path / "axis.fmu")
     # The rig file of next week says nothing of the supply that the model goes by.
     rig_file = tmp_path / "rig.toml"

@@ -37,6 +37,7 @@ from twin.estimation import (
 )
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem, free_parameters
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -65,20 +66,23 @@ def recorded(seed: int, missing: tuple[str, ...] = (), noise: float = 0.3, **val
 @cache
 def fitted(case_key: str) -> tuple[PreparedRecording, Fit]:
     case = CASES[case_key]()
-    return case, optimizer.fit_with_process_noise([case], STRUCTURE, VALUES, FREE)
+    return case, optimizer.fit_with_process_noise(FitProblem([case]), STRUCTURE, VALUES, FREE)
 
 
 def with_curve(cases: list[PreparedRecording], base: Fit, term: CurveTerm) -> Fit:
     """The base and a term of no known shape, fitted together."""
-    return nonparametric.fit_curve(cases, nonparametric.sketch_curve(cases, base, term))
+    return nonparametric.fit_curve(FitProblem(cases), nonparametric.sketch_curve(FitProblem(cases), base, term))
 
 
 def with_name(case: PreparedRecording, base: Fit, *names: str) -> Fit:
     """The base and effects, fitted together."""
     structure = STRUCTURE.with_(*names)
-    mine, free = preparation.with_internal_step([case], structure), preparation.free_parameters(structure)
+    mine, free = FitProblem([case]).stepped(structure), free_parameters(structure)
     return optimizer.levenberg_marquardt(
-        mine, structure, preparation.complete_values(structure, base.values), base.process_noise, free
+        FitProblem(mine, process_noise=base.process_noise),
+        structure,
+        preparation.complete_values(structure, base.values),
+        free,
     )
 
 
@@ -195,7 +199,7 @@ def test_of_several_recordings_the_one_that_lacks_most_decides():
     lacking, _ = fitted("bump")
     longer = replace(clean, drive=replace(clean.drive, time=1.0001 * clean.drive.time))
     for cases, telling in (((longer, lacking), lacking), ((clean, longer), longer)):
-        found = SearchResult(point, point, (), cases)
+        found = SearchResult(point, point, (), FitProblem(cases))
         assert diagnose._worst_recording(found)[0] is telling
 
 
@@ -236,7 +240,7 @@ def test_where_the_end_shows_what_nothing_before_can_teach_the_middle_is_held_ou
 def test_held_out_part_of_a_true_model_is_met_by_its_free_run(where):
     """Whether it lies at the end or in the middle: the FMU starts there anew, from what was read ahead of it."""
     case, point = fitted("nothing")
-    truth = maximum_likelihood.to_model([case], replace(point, values=VALUES), [case.recording], {})
+    truth = maximum_likelihood.to_model(FitProblem([case]), replace(point, values=VALUES), [case.recording])
     train, held_out = holdout.split([case.recording], where)
     shown = holdout.traces(truth, truth, [("train", holdout.RecordingPart(train[0])), ("holdout", held_out[0])])
     assert [t.role for t in shown] == ["train", "holdout"]
@@ -297,7 +301,9 @@ def test_no_curve_over_angles_that_nobody_knows(monkeypatch, unit: str, count: i
     monkeypatch.setattr(nonparametric, "candidate_terms", lambda one: [CurveTerm("angle", 3.0), CurveTerm("velocity")])
     monkeypatch.setattr(nonparametric, "sketch_curve", lambda cases, base, term: asked.append(term) or base)
     monkeypatch.setattr(nonparametric, "fit_curve", lambda cases, p: p)
-    diagnose._best_curve(SearchResult(point, point, (), count * (case,)), left(0.3, 0.0, 0.4), left(0.3, 0.0, 0.4), {})
+    diagnose._best_curve(
+        SearchResult(point, point, (), FitProblem(count * (case,))), left(0.3, 0.0, 0.4), left(0.3, 0.0, 0.4), {}
+    )
     assert CurveTerm("velocity") in asked and (CurveTerm("angle", 3.0) in asked) is angles
 
 
@@ -406,7 +412,7 @@ def test_what_has_no_name_wins_where_the_names_do_nothing_beside_it(key, name, t
     last = with_name(case, first, name) if name else first
     assert not name or model_comparison.is_significant(first, last)
     nameless = with_curve([case], first, term)
-    found = SearchResult(first, last, (), (case,))
+    found = SearchResult(first, last, (), FitProblem((case,)))
     for p_value in (1.0, 0.0):
         assert diagnose._curve_replaces_names(found, nameless, 2 * [left(0.3, p_value, 0.4)]) is outdone
 
@@ -421,7 +427,9 @@ def test_beside_a_curve_that_does_more_every_name_has_to_earn_its_place(monkeypa
     both = replace(nameless, deviance=nameless.deviance - earned * model_comparison.overdispersion([nameless]))
     monkeypatch.setattr(diagnose, "_fit_names_beside_curve", lambda found, curve: both)
     assert (
-        diagnose._curve_replaces_names(SearchResult(first, last, (), (case,)), nameless, 2 * [left(0.3, 0.0, 0.4)])
+        diagnose._curve_replaces_names(
+            SearchResult(first, last, (), FitProblem((case,))), nameless, 2 * [left(0.3, 0.0, 0.4)]
+        )
         is outdone
     )
 
@@ -436,7 +444,7 @@ def test_dry_friction_that_leaves_little_keeps_its_name(monkeypatch, name, size,
     last, nameless = replace(first, structure=STRUCTURE.with_(name)), with_curve([case], first, CurveTerm("velocity"))
     monkeypatch.setattr(diagnose, "_fit_names_beside_curve", lambda found, curve: nameless)
     what = [left(0.8, 0.0, 0.4), left(0.7, 0.0, size)]
-    assert diagnose._curve_replaces_names(SearchResult(first, last, (), (case,)), nameless, what) is outdone
+    assert diagnose._curve_replaces_names(SearchResult(first, last, (), FitProblem((case,))), nameless, what) is outdone
 
 
 def test_dry_friction_is_no_motor_that_varies_over_its_turn():
@@ -444,7 +452,7 @@ def test_dry_friction_is_no_motor_that_varies_over_its_turn():
     case, first = fitted("gain")
     last, nameless = with_name(case, first, "position_dependent_friction"), with_curve([case], first, CurveTerm("gain"))
     what = [left(0.8, 0.0, 0.4), left(0.7, 0.0, 0.04)]
-    assert diagnose._curve_replaces_names(SearchResult(first, last, (), (case,)), nameless, what)
+    assert diagnose._curve_replaces_names(SearchResult(first, last, (), FitProblem((case,))), nameless, what)
 
 
 @pytest.mark.parametrize(
@@ -457,13 +465,15 @@ def test_a_curve_that_foretells_what_plainly_goes_with_something_has_to_earn_its
     nameless = with_curve([case], first, CurveTerm("velocity"))
     monkeypatch.setattr(model_comparison, "gain", lambda before, after, doubt=0.0: earned)
     what = 2 * [left(0.1, p_value, 0.1)]
-    assert diagnose._curve_replaces_names(SearchResult(first, first, (), (case,)), nameless, what) is outdone
+    assert (
+        diagnose._curve_replaces_names(SearchResult(first, first, (), FitProblem((case,))), nameless, what) is outdone
+    )
 
 
 def test_a_name_that_two_stretches_speak_for_is_dropped(monkeypatch):
     case, first = fitted("drag")
     last = with_name(case, first, "quadratic_drag")
-    found = SearchResult(first, last, (), (case,), (first,))
+    found = SearchResult(first, last, (), FitProblem((case,)), (first,))
     assert diagnose._name_p_values(found, first.structure)["quadratic_drag"] < thresholds.NAME_CLEAR_P_VALUE
     assert diagnose._name_p_values(replace(found, smaller_models=()), first.structure) == {}
     rng = np.random.default_rng(2)
@@ -480,7 +490,7 @@ def test_of_two_names_that_do_the_same_one_is_dropped(monkeypatch):
     case, first = fitted("drag")
     both = with_name(case, first, "quadratic_drag", "friction_asymmetry")
     swaps = (Alternative("quadratic_drag", "gravity", both), Alternative("friction_asymmetry", "constant_offset", both))
-    found = SearchResult(first, both, (), (case,), (first,), swaps)
+    found = SearchResult(first, both, (), FitProblem((case,)), (first,), swaps)
     monkeypatch.setattr(diagnose, "_idle_names", lambda cases, sharp, first: [])
     asked = []
 
@@ -506,9 +516,9 @@ def test_a_name_that_a_longer_memory_makes_nothing_of_is_not_given(key, kept):
     if not kept:
         last = replace(last, values={**last.values, "quadratic_drag": 0.0})
     swap = Alternative("quadratic_drag", "gravity", last)
-    found = SearchResult(first, last, (), (case,), (first,), (swap,))
+    found = SearchResult(first, last, (), FitProblem((case,)), (first,), (swap,))
     lasting, (cases, point), _ = diagnose._drop_unpredictive_names(found, first.structure)
-    assert point.structure == lasting.last.structure and len(cases) == 1
+    assert point.structure == lasting.last.structure and len(cases.recordings) == 1
     if kept:
         assert lasting is found
     else:
@@ -523,12 +533,15 @@ def test_what_lasts_is_asked_of_a_filter_that_forgets_no_faster_than_the_one_tha
     case, first = fitted("hump")
     long = replace(first, process_noise=filter_memory.process_noise_of(case, 0.4))
     assert (
-        optimizer.most_likely_process_noise([case], long.structure, long.values, around=long.process_noise)
+        optimizer.most_likely_process_noise(FitProblem([case]), long.structure, long.values, around=long.process_noise)
         > 2.0 * long.process_noise
     )
     monkeypatch.setattr(local_optima, "with_longer_memory", lambda cases, point: point)
-    monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: list(map(hidden, cases)))
-    (judged,), point = diagnose._fit_with_longest_memory(SearchResult(first, long, (), (case,)))
+    monkeypatch.setattr(
+        contact_masking, "with_contact_mask", lambda cases, point: cases.on(list(map(hidden, cases.recordings)))
+    )
+    masked, point = diagnose._fit_with_longest_memory(SearchResult(first, long, (), FitProblem((case,))))
+    (judged,) = masked.recordings
     assert judged.contact_mask is not None and point.process_noise == pytest.approx(long.process_noise)
 
 
@@ -536,7 +549,7 @@ def test_what_lasts_is_asked_of_a_filter_that_forgets_no_faster_than_the_one_tha
 def test_names_that_leave_little_are_doubted_where_they_took_less_than_depends_on_the_state(took, drawn):
     """What a table foretells on blocks that it was not drawn from a right name takes away, too."""
     case, first = fitted("hump")
-    found = SearchResult(first, with_name(case, first, "quadratic_drag"), (), (case,))
+    found = SearchResult(first, with_name(case, first, "quadratic_drag"), (), FitProblem((case,)))
     before = nonparametric.remaining_dependence(case, first.structure, first.values)
     size = before.size * np.sqrt(1.0 - took * before.share)
     little = replace(before, share=0.5 * thresholds.FAINT_SHARE, size=float(size))
@@ -556,7 +569,7 @@ def test_curves_are_drawn_beside_a_name_that_is_not_sure(monkeypatch, probabilit
     little = replace(after, share=0.5 * thresholds.FAINT_SHARE, size=0.0)
     tried = []
     monkeypatch.setattr(nonparametric, "fit_curve", lambda cases, sketched: tried.append(sketched) or sketched)
-    diagnose._best_curve(SearchResult(first, last, (), (case,)), before, little, {"quadratic_drag": chance})
+    diagnose._best_curve(SearchResult(first, last, (), FitProblem((case,))), before, little, {"quadratic_drag": chance})
     assert bool(tried) is drawn
 
 
@@ -567,7 +580,7 @@ def test_gap_and_teeth_are_looked_for_anew_only_beside_curves_that_come_near_the
     moved = []
     monkeypatch.setattr(nonparametric, "restart_curve_gap", lambda cases, point: moved.append(point) or point)
     before = nonparametric.remaining_dependence(case, first.structure, first.values)
-    diagnose._best_curve(SearchResult(first, last, (), (case,)), before, before, {})
+    diagnose._best_curve(SearchResult(first, last, (), FitProblem((case,))), before, before, {})
     assert bool(moved) is relocated
 
 
@@ -576,7 +589,7 @@ def test_a_knot_that_saw_nothing_that_is_judged_is_on_the_line_between_its_neigh
     time = case.drive.time
     begin, end = 0.3 * time[-1], 0.8 * time[-1]
     rattles = replace(case, rattle_mask=(time > begin) & (time < end))
-    sketched = nonparametric.sketch_curve([rattles], first, CurveTerm("time"))
+    sketched = nonparametric.sketch_curve(FitProblem([rattles]), first, CurveTerm("time"))
     at = np.array(spots("unknown_time", sketched.values))
     heights = np.array([sketched.values[n] for n in names("unknown_time")])
     free = np.array([n in sketched.free for n in names("unknown_time")])
@@ -594,9 +607,9 @@ def test_names_learn_from_a_curve_where_it_found_a_better_place(monkeypatch):
     best = with_name(case, first, "quadratic_drag")
     nameless = with_curve([case], first, CurveTerm("velocity"))
     astray = {**best.values, "viscous_friction": 3.0 * best.values["viscous_friction"]}
-    last = likelihood.evaluate([case], best.structure, astray, best.process_noise, best.free)
+    last = likelihood.evaluate(FitProblem([case], process_noise=best.process_noise), best.structure, astray, best.free)
     assert model_comparison.is_significant(last, nameless)
-    learned = diagnose._restart_from_curve(SearchResult(first, last, (), (case,)), nameless)
+    learned = diagnose._restart_from_curve(SearchResult(first, last, (), FitProblem((case,))), nameless)
     assert learned.last.structure == best.structure
     assert learned.last.deviance == pytest.approx(best.deviance, abs=1.0)
     # What it is held against begins there, too.
@@ -604,14 +617,14 @@ def test_names_learn_from_a_curve_where_it_found_a_better_place(monkeypatch):
         learned.smaller_models[0].deviance == pytest.approx(first.deviance, abs=1.0)
         and learned.smaller_models[-1] is first
     )
-    near = SearchResult(first, best, (), (case,))
+    near = SearchResult(first, best, (), FitProblem((case,)))
     assert diagnose._restart_from_curve(near, nameless) is near
     begun = []
-    monkeypatch.setattr(diagnose.local_optima, "refit", lambda c, s, values, held, d: begun.append(values) or best)
+    monkeypatch.setattr(diagnose.local_optima, "refit", lambda c, s, values: begun.append(values) or best)
     monkeypatch.setattr(diagnose.forward_selection, "with_last_model", lambda found, last: found)
     sided = replace(last, free=(*last.free, "shaft_share"), values={**last.values, "shaft_share": 0.9})
     monkeypatch.setattr(model_comparison, "is_significant", lambda before, after: True)
-    diagnose._restart_from_curve(SearchResult(first, sided, (), (case,)), nameless)
+    diagnose._restart_from_curve(SearchResult(first, sided, (), FitProblem((case,))), nameless)
     assert [v["shaft_share"] for v in begun] == [0.9, 0.0, 1.0]
     assert {v["input_gain"] for v in begun} == {nameless.values["input_gain"]}
 
@@ -619,7 +632,7 @@ def test_names_learn_from_a_curve_where_it_found_a_better_place(monkeypatch):
 def test_a_name_that_a_curve_has_swallowed_grows_again_beside_it():
     case, first = fitted("humped")
     last, nameless = with_name(case, first, "coulomb_friction"), with_curve([case], first, CurveTerm("velocity"))
-    both = diagnose._fit_names_beside_curve(SearchResult(first, last, (), (case,)), nameless)
+    both = diagnose._fit_names_beside_curve(SearchResult(first, last, (), FitProblem((case,))), nameless)
     # The curve alone is what it grows from: larger by a parameter, it cannot fit less well.
     assert both.deviance < nameless.deviance
     assert both.values["coulomb_friction"] == pytest.approx(3.0, rel=0.2)
@@ -644,7 +657,7 @@ def test_a_curve_stays_in_the_model_where_it_earns_its_place_and_the_names_do_le
     case, first = fitted(key)
     last = with_name(case, first, name) if name else first
     nameless = with_curve([case], first, term)
-    found, said = diagnose._keep_or_replace(SearchResult(first, last, (), (case,)), nameless, "unexplained")
+    found, said = diagnose._keep_or_replace(SearchResult(first, last, (), FitProblem((case,))), nameless, "unexplained")
     assert found.last is (nameless if drawn else last) and said == verdict
 
 
@@ -741,11 +754,11 @@ def test_friction_that_gives_is_told_from_friction_that_holds():
     """
     case, point = fitted("bend")
     gives, holds = with_curve([case], point, CurveTerm("bend")), with_name(case, point, "coulomb_friction")
-    assert model_comparison.is_significant(holds, gives) and is_plausible([case], gives)
+    assert model_comparison.is_significant(holds, gives) and is_plausible(FitProblem([case]), gives)
     assert gives.values == pytest.approx({**gives.values, **BENT}, rel=0.1)
     case, point = fitted("dry")
     gives, holds = with_curve([case], point, CurveTerm("bend")), with_name(case, point, "coulomb_friction")
-    assert model_comparison.criterion_difference(gives, holds) < 0.0 and not is_plausible([case], gives)
+    assert model_comparison.criterion_difference(gives, holds) < 0.0 and not is_plausible(FitProblem([case]), gives)
 
 
 @pytest.mark.parametrize("which", ["liquid", "hanging"])
@@ -758,7 +771,7 @@ def test_what_rides_on_the_link_is_told_from_a_joint_that_rings(which: str) -> N
         assert abs(rides.values[name] - true) < 2.0 * error
         # A spring of 10 would swing once in two seconds.
         assert error < 0.2 * (true or 10.0)
-    assert is_plausible([case], rides)
+    assert is_plausible(FitProblem([case]), rides)
     for name in ("motor_lag", "load_change", "joint_elasticity", "coulomb_friction"):
         assert model_comparison.is_significant(with_name(case, point, name), rides)
 
@@ -769,9 +782,9 @@ def test_what_is_held_as_if_it_were_part_of_the_link_rides_on_nothing() -> None:
     assert not model_comparison.is_significant(point, rides)
     for hold in ("unknown_swing_stiffness", "unknown_swing_damping"):
         firmly = {**rides.values, "unknown_swing_stiffness": 10.0, "unknown_swing_damping": 1.0}
-        assert is_plausible([case], replace(rides, values=firmly))
+        assert is_plausible(FitProblem([case]), replace(rides, values=firmly))
         firmly[hold] = parameter_bounds.bounds_of(hold)[1]
-        assert not is_plausible([case], replace(rides, values=firmly))
+        assert not is_plausible(FitProblem([case]), replace(rides, values=firmly))
 
 
 def test_friction_that_gives_by_a_count_is_none():
@@ -779,9 +792,9 @@ def test_friction_that_gives_by_a_count_is_none():
     structure = STRUCTURE.with_("unknown_bend")
     for give, right in ((2.0 * COUNT, False), (4.0 * COUNT, True), (0.5 * float(np.ptp(case.positions)), False)):
         values = {**point.values, "unknown_bend_level": 1.0, "unknown_bend_give": give}
-        assert is_plausible([case], replace(point, structure=structure, values=values)) is right
+        assert is_plausible(FitProblem([case]), replace(point, structure=structure, values=values)) is right
     # A finer encoder sees what every dry contact gives by.
     fine = replace(case, recording=replace(case.recording, resolution=0.01 * COUNT))
     for give, right in ((5e-4, False), (2e-3, True)):
         values = {**point.values, "unknown_bend_level": 1.0, "unknown_bend_give": give}
-        assert is_plausible([fine], replace(point, structure=structure, values=values)) is right
+        assert is_plausible(FitProblem([fine]), replace(point, structure=structure, values=values)) is right

@@ -12,6 +12,7 @@ from twin.diagnosis import residual_torque, screening, selection_round
 from twin.diagnosis.plausibility import is_plausible
 from twin.effects.catalogue import CANDIDATES
 from twin.estimation import filter_memory, likelihood, local_optima, multistart, preparation, prepared_recording
+from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -28,7 +29,7 @@ def lines(position, torque, effect: str, name: str, unit: str = "rad", pushed=No
     missing = residual_torque.MissingTorque(time, torque, position, speed, np.gradient(speed, time), duty, 0.002)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(residual_torque, "missing_torque", lambda *args: missing)
-        tried = screening.trial_grids([case], structure, preparation.complete_values(structure, {}))[effect]
+        tried = screening.trial_grids(FitProblem([case]), structure, preparation.complete_values(structure, {}))[effect]
     return [row[name] for row in tried]
 
 
@@ -42,7 +43,7 @@ def test_every_candidate_is_tried_however_long_the_recording(monkeypatch, end: f
     missing = residual_torque.MissingTorque(time, wave, 5.0 * wave, wave, wave, 30.0 * wave, float(time[1]))
     monkeypatch.setattr(residual_torque, "missing_torque", lambda *args: missing)
     case = prepared_recording.prepare_recording(recording, structure)
-    tried = screening.trial_grids([case], structure, preparation.complete_values(structure, {}))
+    tried = screening.trial_grids(FitProblem([case]), structure, preparation.complete_values(structure, {}))
     assert set(tried) == set(CANDIDATES) and all(tried.values())
     times = [row["fade_time"] for row in tried["thermal_fade"]]
     assert all(1.0 <= t <= 3600.0 for t in times) and len(times) == len(set(times))
@@ -60,15 +61,19 @@ def test_what_depends_on_the_position_is_looked_for_along_the_way_where_a_speed_
     assert 40.0 < np.ptp(y) < 60.0 and np.ptp(speed) < 2.0
     case = prepared_recording.prepare_recording(Recording("made", time, duty, speed, "%", "rad/s", 1e-4), structure)
     assert np.abs(case.positions - (y - y[0])).max() < 0.01 * np.ptp(y)
-    tried = screening.trial_grids([case], structure, there)
+    tried = screening.trial_grids(FitProblem([case]), structure, there)
     assert min(abs(row["ripple_order"] - 10.0) for row in tried["torque_ripple"]) < 0.2
     for row in tried["end_stop"]:
         assert row["stop_upper"] > 0.9 * np.ptp(y) and row["stop_lower"] < 0.1 * np.ptp(y)
     fitted = local_optima.refit(
-        [case], structure, there, {}, filter_memory.process_noise_of(case, local_optima.MIN_MEMORY)
+        FitProblem([case], process_noise=filter_memory.process_noise_of(case, local_optima.MIN_MEMORY)),
+        structure,
+        there,
     )
-    longer = local_optima.refit([case], structure.with_("torque_ripple"), there | wave, {}, fitted.process_noise)
-    assert is_plausible([case], longer)
+    longer = local_optima.refit(
+        FitProblem([case], process_noise=fitted.process_noise), structure.with_("torque_ripple"), there | wave
+    )
+    assert is_plausible(FitProblem([case]), longer)
 
 
 def noisy(wave) -> np.ndarray:
@@ -154,12 +159,16 @@ def test_a_torque_is_looked_for_on_the_motor_and_on_the_link(effect, law, share)
     duty = steps(rng, len(time), 150, 40.0)
     shaken = duty + 0.1 * rng.standard_normal(len(time))
     made = recorded(structure.with_(effect), values | law | {"shaft_share": share}, time, duty, shaken, 16384.0)
-    cases = preparation.prepare_recordings([made], structure)
-    before = local_optima.refit(cases, structure, values, {}, filter_memory.process_noise_of(cases[0], 0.05))
-    trials = screening.trial_grids(cases, structure, before.values)
-    (entry,) = screening.score_candidates(cases, before, {effect: trials[effect]})
-    begun = screening.most_likely_values(cases, entry.structure, entry.places, before.process_noise)
-    found = local_optima.refit(cases, entry.structure, begun, {}, before.process_noise)
+    cases = preparation.prepare_recordings([made], structure).recordings
+    before = local_optima.refit(
+        FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], 0.05)), structure, values
+    )
+    trials = screening.trial_grids(FitProblem(cases), structure, before.values)
+    (entry,) = screening.score_candidates(FitProblem(cases), before, {effect: trials[effect]})
+    begun = screening.most_likely_values(
+        FitProblem(cases, process_noise=before.process_noise), entry.structure, entry.places
+    )
+    found = local_optima.refit(FitProblem(cases, process_noise=before.process_noise), entry.structure, begun)
     assert found.values["shaft_share"] == pytest.approx(share, abs=0.15)
     name, size = next(iter(law.items()))
     assert found.values[name] == pytest.approx(size, rel=0.1)
@@ -179,12 +188,16 @@ def test_a_torque_that_dead_bands_had_taken_over_is_found_on_its_own_side_of_the
     duty = 40.0 * np.sin(2.0 * np.pi * (0.2 + 0.2 * time) * time)
     shaken = duty + 0.1 * np.random.default_rng(0).standard_normal(len(time))
     made = recorded(structure.with_("constant_offset"), values | law, time, duty, shaken, 10000.0)
-    cases = preparation.prepare_recordings([made], structure)
-    before = local_optima.refit(cases, structure, values, {}, filter_memory.process_noise_of(cases[0], 0.1))
-    trials = screening.trial_grids(cases, before.structure, before.values)["constant_offset"]
-    (entry,) = screening.score_candidates(cases, before, {"constant_offset": trials})
-    begun = screening.most_likely_values(cases, entry.structure, entry.places, before.process_noise)
-    found = local_optima.refit(cases, entry.structure, begun, {}, before.process_noise)
+    cases = preparation.prepare_recordings([made], structure).recordings
+    before = local_optima.refit(
+        FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], 0.1)), structure, values
+    )
+    trials = screening.trial_grids(FitProblem(cases), before.structure, before.values)["constant_offset"]
+    (entry,) = screening.score_candidates(FitProblem(cases), before, {"constant_offset": trials})
+    begun = screening.most_likely_values(
+        FitProblem(cases, process_noise=before.process_noise), entry.structure, entry.places
+    )
+    found = local_optima.refit(FitProblem(cases, process_noise=before.process_noise), entry.structure, begun)
     assert found.values["shaft_share"] == pytest.approx(share, abs=0.1)
     assert found.values["offset"] == pytest.approx(law["offset"], rel=0.1)
 
@@ -200,19 +213,21 @@ def test_what_many_promise_in_shared_runs_is_what_each_does_in_its_own(monkeypat
     duty = 40.0 * np.sin(2.0 * np.pi * (0.2 + 0.1 * time) * time)
     law = {"coulomb_friction": 0.4, "dry_share": 0.5, "gravity_gain": 0.5, "gravity_angle": 0.3}
     made = recorded(structure.with_("coulomb_friction", "gravity"), values | law, time, duty, duty, 40000.0)
-    cases = preparation.prepare_recordings([made], structure)
-    before = local_optima.refit(cases, structure, values, {}, filter_memory.process_noise_of(cases[0], 0.1))
-    rows = screening.trial_grids(cases, before.structure, before.values)
+    cases = preparation.prepare_recordings([made], structure).recordings
+    before = local_optima.refit(
+        FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], 0.1)), structure, values
+    )
+    rows = screening.trial_grids(FitProblem(cases), before.structure, before.values)
     rows = {e: tried for e, tried in rows.items() if e not in screening.WITHOUT_SCORE_TEST}
     runs = []
     run = likelihood.evaluate
     monkeypatch.setattr(likelihood, "evaluate", lambda *given: runs.append(given) or run(*given))
-    together = {e.effect: e.promised_gain for e in screening.score_candidates(cases, before, rows)}
+    together = {e.effect: e.promised_gain for e in screening.score_candidates(FitProblem(cases), before, rows)}
     shared = len(runs)
     alone = {}
     for effect, tried in rows.items():
         alone[effect] = max(
-            screening.score_candidates(cases, before, {effect: [row]})[0].promised_gain for row in tried
+            screening.score_candidates(FitProblem(cases), before, {effect: [row]})[0].promised_gain for row in tried
         )
     assert len(together) == len(rows) and shared < 0.5 * (len(runs) - shared)
     # An impact that comes an instant earlier is worth a unit either way.
@@ -225,10 +240,10 @@ def test_a_side_of_the_gap_that_is_known_is_not_asked_again() -> None:
     time = 0.002 * np.arange(2000)
     duty = 30.0 * np.sin(time)
     made = recorded(structure, {"input_gain": 0.4, "viscous_friction": 2.0}, time, duty, duty, 4096.0)
-    cases = preparation.prepare_recordings([made], structure)
+    cases = preparation.prepare_recordings([made], structure).recordings
     open_, known = structure.with_("gravity"), structure.with_("torque_ripple", "coulomb_friction")
     for base, sides in ((open_, 2), (known, 1)):
-        rows = screening.trial_grids(cases, base, preparation.complete_values(base, {}))
+        rows = screening.trial_grids(FitProblem(cases), base, preparation.complete_values(base, {}))
         assert len(rows["constant_offset"]) == len(rows["friction_asymmetry"]) == sides
         assert len(rows["spring"]) == 1, "a spring pulls at the link"
 
@@ -268,11 +283,14 @@ def test_a_strong_ripple_is_found_from_where_it_follows_what_is_missing(seed) ->
     made = recorded(
         preparation.with_tooth_compliance(structure).with_("torque_ripple"), values | ripple, time, duty, shaken, 4096.0
     )
-    cases, rough = multistart.coarse_starts([made], structure, {})
+    problem, rough = multistart.coarse_starts([made], structure, {})
+    cases = problem.recordings
     before = local_optima.refit(
-        cases, structure, values | rough[0].values, {}, filter_memory.process_noise_of(cases[0], 0.1)
+        FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], 0.1)),
+        structure,
+        values | rough[0].values,
     )
-    found = min(selection_round._fit_followers(cases, before, ["torque_ripple"], {}), key=lambda h: h.deviance)
+    found = min(selection_round._fit_followers(FitProblem(cases), before, ["torque_ripple"]), key=lambda h: h.deviance)
     assert found.point.values["ripple_order"] == pytest.approx(19.0, abs=0.1)
     assert found.point.values["ripple_torque"] == pytest.approx(26.0, rel=0.1)
 
@@ -293,12 +311,17 @@ def test_a_lag_is_looked_for_ahead_of_the_dead_band_and_behind_it(share) -> None
     made = recorded(
         preparation.with_tooth_compliance(structure).with_("motor_lag"), values | lag, time, duty, shaken, 16384.0
     )
-    cases, rough = multistart.coarse_starts([made], structure, {})
-    before = local_optima.refit(cases, structure, rough[0].values, {}, filter_memory.process_noise_of(cases[0], 0.1))
-    trials = screening.trial_grids(cases, structure, before.values)["motor_lag"]
-    (entry,) = screening.score_candidates(cases, before, {"motor_lag": trials})
-    begun = screening.most_likely_values(cases, entry.structure, entry.places, before.process_noise)
-    found = local_optima.refit(cases, entry.structure, begun, {}, before.process_noise)
+    problem, rough = multistart.coarse_starts([made], structure, {})
+    cases = problem.recordings
+    before = local_optima.refit(
+        FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], 0.1)), structure, rough[0].values
+    )
+    trials = screening.trial_grids(FitProblem(cases), structure, before.values)["motor_lag"]
+    (entry,) = screening.score_candidates(FitProblem(cases), before, {"motor_lag": trials})
+    begun = screening.most_likely_values(
+        FitProblem(cases, process_noise=before.process_noise), entry.structure, entry.places
+    )
+    found = local_optima.refit(FitProblem(cases, process_noise=before.process_noise), entry.structure, begun)
     assert found.values["lag_dead_band"] == share
     assert found.values["lag_time"] == pytest.approx(0.05, rel=0.03)
 
@@ -312,12 +335,14 @@ def test_a_candidate_moves_nothing_that_is_held() -> None:
     time = 0.002 * np.arange(3000)
     duty = steps(np.random.default_rng(4), len(time), 200, 40.0)
     y, _ = run(preparation.with_tooth_compliance(structure), values, time, duty)
-    cases = preparation.prepare_recordings([Recording("made", time, duty, y, "%", "rad", 1e-4)], structure)
+    cases = preparation.prepare_recordings([Recording("made", time, duty, y, "%", "rad", 1e-4)], structure).recordings
     known = {n: values[n] for n in ("backlash_gap", "motor_share")}
-    before = local_optima.refit(cases, structure, values, known, filter_memory.process_noise_of(cases[0], 0.1))
-    trials = screening.trial_grids(cases, before.structure, before.values)["joint_elasticity"]
+    before = local_optima.refit(
+        FitProblem(cases, known, process_noise=filter_memory.process_noise_of(cases[0], 0.1)), structure, values
+    )
+    trials = screening.trial_grids(FitProblem(cases), before.structure, before.values)["joint_elasticity"]
     assert all(known.keys() <= row.keys() for row in trials)
-    (entry,) = screening.score_candidates(cases, before, {"joint_elasticity": trials})
+    (entry,) = screening.score_candidates(FitProblem(cases), before, {"joint_elasticity": trials})
     assert all(known.items() <= place.items() for place in entry.places)
 
 
@@ -339,7 +364,9 @@ def test_a_start_is_looked_for_in_parts_of_a_long_recording_unless_it_lies_at_a_
     y, _ = run(structure.with_(effect), values | law, time, duty)
     made = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
     cases = [prepared_recording.prepare_recording(made, structure)]
-    before = local_optima.refit(cases, structure, values, {}, filter_memory.process_noise_of(cases[0], 0.1))
+    before = local_optima.refit(
+        FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], 0.1)), structure, values
+    )
     read, evaluate = [], likelihood.evaluate
 
     def looked(seen, *rest):
@@ -347,10 +374,10 @@ def test_a_start_is_looked_for_in_parts_of_a_long_recording_unless_it_lies_at_a_
         return evaluate(seen, *rest)
 
     monkeypatch.setattr(likelihood, "evaluate", looked)
-    trials = screening.trial_grids(cases, structure, before.values)[effect]
-    (entry,) = screening.score_candidates(cases, before, {effect: trials})
+    trials = screening.trial_grids(FitProblem(cases), structure, before.values)[effect]
+    (entry,) = screening.score_candidates(FitProblem(cases), before, {effect: trials})
     assert (np.mean(read) < 0.5 * len(time)) == parts
-    found = local_optima.refit(cases, entry.structure, entry.places[0], {}, before.process_noise)
+    found = local_optima.refit(FitProblem(cases, process_noise=before.process_noise), entry.structure, entry.places[0])
     name, size = next(iter(law.items()))
     assert found.values[name] == pytest.approx(size, rel=0.02)
     assert entry.promised_gain > 0.8 * (before.deviance - found.deviance)

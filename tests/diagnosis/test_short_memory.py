@@ -23,6 +23,7 @@ from twin.diagnosis.selection_round import Hypothesis, Round
 from twin.effects.catalogue import BASE, CANDIDATES
 from twin.estimation import contact_masking, local_optima, multistart, preparation, prepared_recording
 from twin.estimation.fit import Fit
+from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -39,16 +40,17 @@ def test_a_faint_torque_is_seen_where_a_motor_rattles(there: bool) -> None:
     run = circuit_rig.simulate(drawn.rig, effects, drawn.time, drawn.duty, drawn.noise_seed)
     count = 2.0 * np.pi / run.counts_per_revolution
     recording = Recording("rig", run.time, run.duty, run.counts * count, "%", "rad", count)
-    cases, rough = multistart.coarse_starts([recording], FIRST, {})
+    problem, rough = multistart.coarse_starts([recording], FIRST, {})
     polished, fine = multistart.leave_local_optima(
-        cases, multistart.fit_from_starts(cases, preparation.with_tooth_compliance(FIRST), rough, {})
+        problem,
+        multistart.fit_from_starts(problem, preparation.with_tooth_compliance(FIRST), rough),
     )
-    cases = contact_masking.without_contact_mask(polished)
-    before = local_optima.refit(cases, FIRST, fine.values, {}, local_optima.judging_process_noise(cases, fine))
-    lost = selection_round.run_round(cases, before, (), candidates, {})
+    problem = contact_masking.without_contact_mask(polished)
+    before = local_optima.refit(problem.at(local_optima.judging_process_noise(problem, fine)), FIRST, fine.values)
+    lost = selection_round.run_round(problem, before, (), candidates)
     assert not lost.won
-    as_it_was = SearchResult(lost.before, lost.before, (lost,), tuple(cases))
-    found = forward_selection.refine_with_short_memory(as_it_was, {}, candidates)
+    as_it_was = SearchResult(lost.before, lost.before, (lost,), problem)
+    found = forward_selection.refine_with_short_memory(as_it_was, candidates)
     if there:
         assert found.last.structure.named == ("constant_offset",)
         assert found.last.values["offset"] == pytest.approx(planted.parameters["offset_link"], rel=0.2)
@@ -74,8 +76,8 @@ def looked_at(
         Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), FIRST
     )
     rounds = [Round(sharp, (Hypothesis(grown.structure.named[-1:], grown),), 1.0)] if grown is not sharp else []
-    monkeypatch.setattr(forward_selection, "_fit_at_best_noise", lambda cases, point: ([case], sharp))
-    monkeypatch.setattr(forward_selection, "_add_with_short_memory", lambda *rest: ([case], grown, rounds))
+    monkeypatch.setattr(forward_selection, "_fit_at_best_noise", lambda cases, point: (FitProblem([case]), sharp))
+    monkeypatch.setattr(forward_selection, "_add_with_short_memory", lambda *rest: (FitProblem([case]), grown, rounds))
     monkeypatch.setattr(
         forward_selection, "_add_with_usual_memory", lambda found, cases, best, *rest: (cases, best, [])
     )
@@ -88,11 +90,11 @@ def looked_at(
     monkeypatch.setattr(
         local_optima, "refit", settle or (lambda cases, structure, *rest: fitted(0.0, *structure.named))
     )
-    return forward_selection.refine_with_short_memory(found, {}, CANDIDATES)
+    return forward_selection.refine_with_short_memory(found, CANDIDATES)
 
 
 def test_as_it_was_where_there_is_no_other_filter_or_it_sees_nothing(monkeypatch) -> None:
-    found = SearchResult(fitted(0.0), fitted(-100.0, "gravity"), (), ())
+    found = SearchResult(fitted(0.0), fitted(-100.0, "gravity"), (), FitProblem(()))
     alike, other = (
         replace(found.last, process_noise=share * local_optima.PROCESS_NOISE_TOLERANCE) for share in (0.9, 2.0)
     )
@@ -105,7 +107,7 @@ def test_what_stood_for_what_had_been_found_does_so_beside_what_is_new(monkeypat
     """But a constant torque that is named is no other reading of the dead-bands."""
     pairs = (("gravity", "spring"), ("dead_band", "constant_offset"))
     old = [Alternative(effect, rival, fitted(-99.0, rival)) for effect, rival in pairs]
-    found = SearchResult(fitted(0.0), fitted(-100.0, "gravity"), (), (), (), tuple(old))
+    found = SearchResult(fitted(0.0), fitted(-100.0, "gravity"), (), FitProblem(()), (), tuple(old))
     sharp = fitted(-2000.0, "gravity", process_noise=2.0 * local_optima.PROCESS_NOISE_TOLERANCE)
     mine = Alternative("motor_lag", "input_delay", fitted(-2080.0, "gravity", "input_delay"))
     for new, kept in (("motor_lag", 2), ("constant_offset", 1)):
@@ -122,7 +124,7 @@ def test_what_stood_for_what_had_been_found_does_so_beside_what_is_new(monkeypat
 def test_what_contains_a_new_effect_is_held_against_it(monkeypatch, asymmetric: float, named: str) -> None:
     """Plain friction that only the closer look finds may be one-sided; what was found before is not asked again."""
     old = Alternative("gravity", "spring", fitted(-99.0, "spring"))
-    found = SearchResult(fitted(0.0), fitted(-100.0, "gravity"), (), (), (), (old,))
+    found = SearchResult(fitted(0.0), fitted(-100.0, "gravity"), (), FitProblem(()), (), (old,))
     sharp = fitted(-2000.0, "gravity", process_noise=2.0 * local_optima.PROCESS_NOISE_TOLERANCE)
     grown = fitted(-2100.0, "gravity", "coulomb_friction")
     wider = [
@@ -156,10 +158,10 @@ def test_looked_for_are_as_many_effects_as_there_is_room_for(monkeypatch) -> Non
     monkeypatch.setattr(
         selection_round, "run_round", lambda cases, before, known, *rest: Round(before, tuple(known), 1.0)
     )
-    monkeypatch.setattr(forward_selection, "_plain_winner", lambda cases, this, held: this.rivals[0].point)
+    monkeypatch.setattr(forward_selection, "_plain_winner", lambda cases, this: this.rivals[0].point)
     monkeypatch.setattr(forward_selection, "_fit_at_best_noise", lambda cases, point: (cases, point))
     for room in (0, 1, 3):
-        _, best, rounds = forward_selection._add_with_short_memory([], points[0], room, names, {})
+        _, best, rounds = forward_selection._add_with_short_memory(FitProblem([]), points[0], room, names)
         assert best is points[room] and len(rounds) == room
     # What a rig has of its own shows there, too: too little is no discovery, and next to nothing is not looked at.
     for earned in (
@@ -170,7 +172,7 @@ def test_looked_for_are_as_many_effects_as_there_is_room_for(monkeypatch) -> Non
         monkeypatch.setattr(selection_round, "screen_candidates", lambda *rest, little=little: [little])
         if earned < thresholds.PROMISING_SHARE * thresholds.MIN_GAIN_AT_OTHER_MEMORY:
             monkeypatch.setattr(selection_round, "run_round", None)
-        assert forward_selection._add_with_short_memory([], points[0], 3, names, {})[1:] == (points[0], [])
+        assert forward_selection._add_with_short_memory(FitProblem([]), points[0], 3, names)[1:] == (points[0], [])
 
 
 def test_what_a_faint_effect_had_hidden_from_the_usual_filter_is_looked_for_beside_it(monkeypatch) -> None:
@@ -181,24 +183,28 @@ def test_what_a_faint_effect_had_hidden_from_the_usual_filter_is_looked_for_besi
     more = fitted(-1500.0, "spring", "motor_lag")
     lost = Round(usual, (), 1.0, False)
     won = Round(usual, (Hypothesis(("motor_lag",), more),), 1.0)
-    found, sharper, asked = SearchResult(fitted(0.0), fitted(0.0), (), ()), replace(more, process_noise=5.0), []
+    found, sharper, asked = (
+        SearchResult(fitted(0.0), fitted(0.0), (), FitProblem(())),
+        replace(more, process_noise=5.0),
+        [],
+    )
 
-    def settle(cases, structure, values, held, process_noise):
-        assert structure == known.structure and process_noise == found.last.process_noise
+    def settle(problem, structure, values):
+        assert structure == known.structure and problem.process_noise == found.last.process_noise
         return usual
 
-    def grow(cases, best, candidates, held, tell, most):
+    def grow(problem, best, candidates, tell, most):
         asked.append((best, most))
         return more, [won, lost]
 
     monkeypatch.setattr(local_optima, "refit", settle)
-    monkeypatch.setattr(forward_selection, "_restart", lambda cases, point, held: point)
+    monkeypatch.setattr(forward_selection, "_restart", lambda cases, point: point)
     monkeypatch.setattr(
         forward_selection, "_fit_at_best_noise", lambda cases, point: (cases, replace(point, process_noise=5.0))
     )
     monkeypatch.setattr(forward_selection, "_add_effects", grow)
-    _, best, rounds = forward_selection._add_with_usual_memory(found, [], known, 2, CANDIDATES, {})
+    _, best, rounds = forward_selection._add_with_usual_memory(found, FitProblem([]), known, 2, CANDIDATES)
     assert asked == [(usual, 2)] and rounds == [won]
     assert best.structure == sharper.structure and best.process_noise == sharper.process_noise
     monkeypatch.setattr(forward_selection, "_add_effects", lambda *rest: (usual, [lost]))
-    assert forward_selection._add_with_usual_memory(found, [], known, 2, CANDIDATES, {})[1:] == (known, [])
+    assert forward_selection._add_with_usual_memory(found, FitProblem([]), known, 2, CANDIDATES)[1:] == (known, [])

@@ -14,6 +14,7 @@ from twin.diagnosis import residual_torque, torque_regression
 from twin.effects.catalogue import BASE, CANDIDATES
 from twin.estimation import filter_memory, preparation, prepared_recording
 from twin.estimation.fit import Fit
+from twin.estimation.problem import FitProblem, free_parameters
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -61,7 +62,7 @@ def asked(question, torque: Array, seed: int = 0, **values: float):
     )
     structure = Structure.of(BASE)
     case = prepared_recording.prepare_recording(Recording("made", TIME, COMMAND, PLACE, "%", "rad", 1e-4), structure)
-    free, none = preparation.free_parameters(structure), np.zeros((0, 0))
+    free, none = free_parameters(structure), np.zeros((0, 0))
     known = preparation.complete_values(structure, {**BEFORE, **values})
     base = Fit(structure, known, filter_memory.process_noise_of(case, 0.1), free, 0.0, 1.0, none, np.zeros(0), none)
     with pytest.MonkeyPatch.context() as patch:
@@ -70,7 +71,9 @@ def asked(question, torque: Array, seed: int = 0, **values: float):
 
 
 def found(torque: Array, seed: int = 0) -> list[torque_regression.TorqueFollower]:
-    return asked(lambda cases, base: torque_regression.ranked_by_torque(cases, base, CANDIDATES), torque, seed)
+    return asked(
+        lambda cases, base: torque_regression.ranked_by_torque(FitProblem(cases), base, CANDIDATES), torque, seed
+    )
 
 
 @pytest.mark.parametrize("effect", LAWS)
@@ -158,7 +161,7 @@ def test_a_drive_that_a_fit_took_for_none_is_seen_where_the_axis_moves_freely():
     )
     assert free.values["input_gain"] == pytest.approx(0.4, rel=0.1)
     assert free.values["viscous_friction"] == pytest.approx(2.0, rel=0.15)
-    assert free.free == preparation.free_parameters(free.structure)
+    assert free.free == free_parameters(free.structure)
 
 
 def test_a_drive_that_does_nothing_at_all_is_freed_too():

@@ -27,6 +27,7 @@ from twin.diagnosis.selection_round import Hypothesis, Round
 from twin.diagnosis.thresholds import UNDECIDED_MARGIN
 from twin.estimation import filter_memory, local_optima, maximum_likelihood, optimizer, prepared_recording
 from twin.estimation.fit import Fit
+from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording
 from twin.model.stepper import BASE, Structure
 from twin.report import html, wording
@@ -91,7 +92,7 @@ def searched(gap: float, *also: str) -> SearchResult:
     more = point(1000.0 + 1.0, *also, "gravity", "coulomb_friction")
     rivals = (Hypothesis(("gravity",), one), Hypothesis(("coulomb_friction",), more), Hypothesis(("spring",), two))
     swaps = (Alternative("gravity", "spring", two),) if gap < UNDECIDED_MARGIN else ()
-    return SearchResult(before, one, (Round(before, rivals, 1.0),), (), (point(3000.0, *also),), swaps)
+    return SearchResult(before, one, (Round(before, rivals, 1.0),), FitProblem(()), (point(3000.0, *also),), swaps)
 
 
 @pytest.mark.parametrize("also", [(), ("motor_lag",)])
@@ -112,7 +113,9 @@ def test_what_the_first_model_has_is_no_rival_to_what_is_missing():
     ranking = dict(diagnose._probabilities(searched(0.0, "motor_lag"))[1])
     assert set(ranking) == {"gravity", "spring", "coulomb_friction"} and ranking["coulomb_friction"] == 0.0
     before, tried = point(1000.0, "motor_lag"), point(995.0, "motor_lag", "spring")
-    nothing = SearchResult(before, before, (Round(before, (Hypothesis(("spring",), tried),), 1.0, False),), ())
+    nothing = SearchResult(
+        before, before, (Round(before, (Hypothesis(("spring",), tried),), 1.0, False),), FitProblem(())
+    )
     ((effect, probability),) = diagnose._probabilities(nothing)[1]
     assert effect == "spring" and 0.4 < probability < 0.7
 
@@ -121,7 +124,7 @@ def test_a_curve_in_the_place_of_a_name_takes_its_place_in_the_ranking():
     won = searched(1500.0)
     assert dict(diagnose._probabilities(won)[1])["gravity"] > 0.9
     curve = point(100.0, "unknown_position")
-    drawn = SearchResult(won.first, curve, won.rounds, ())
+    drawn = SearchResult(won.first, curve, won.rounds, FitProblem(()))
     assert dict(diagnose._probabilities(drawn)[1])["gravity"] < 0.01
 
 
@@ -142,7 +145,12 @@ def test_what_one_name_explains_about_as_well_as_two_is_the_one():
     # Each other exchange is one name for one.
     assert model_comparison.criterion_difference_penalised(point(1005.0, "gravity"), point(1000.0, "spring")) == 5.0
     found = SearchResult(
-        point(9000.0), one, (), (), (point(9000.0),), (Alternative("friction_asymmetry", "constant_offset", two),)
+        point(9000.0),
+        one,
+        (),
+        FitProblem(()),
+        (point(9000.0),),
+        (Alternative("friction_asymmetry", "constant_offset", two),),
     )
     given = diagnose._probabilities(found)[0]["friction_asymmetry"] / (1.0 - thresholds.PROB_NONE_OF_THESE)
     assert given == pytest.approx(1.0 / (1.0 + np.exp(-UNDECIDED_MARGIN / (2.0 * thresholds.TEMPERATURE))))
@@ -153,12 +161,11 @@ def test_the_experiment_is_for_the_likeliest_rival_and_not_for_one_name_more(mon
     torque = point(1003.0, "motor_lag", "constant_offset")
     swaps = (Alternative("dead_band", "constant_offset", torque), Alternative("motor_lag", "input_delay", rival))
     asked = []
-    monkeypatch.setattr(diagnose.preparation, "with_internal_step", lambda cases, structure: cases)
     monkeypatch.setattr(
         diagnose.experiment_design, "design_for_discrimination", lambda points, cases: asked.append(points)
     )
-    diagnose._next_experiment(SearchResult(point(3000.0), last, (), (), (), swaps))
-    diagnose._next_experiment(SearchResult(point(3000.0), last, (), (), (), swaps[:1]))
+    diagnose._next_experiment(SearchResult(point(3000.0), last, (), FitProblem(()), (), swaps))
+    diagnose._next_experiment(SearchResult(point(3000.0), last, (), FitProblem(()), (), swaps[:1]))
     assert asked == [[last, rival], [last, torque]]
 
 
@@ -206,13 +213,13 @@ def test_a_rival_takes_the_place_only_of_what_it_shows_without(monkeypatch, reac
     before, last, rival = point(3000.0), point(1000.0, "spring"), point(reached, "gravity")
     close = Round(before, (Hypothesis(("spring",), last), Hypothesis(("gravity",), point(1010.0, "gravity"))), 1.0)
     asked = []
-    monkeypatch.setattr(forward_selection, "plausible", lambda cases, p, before: True)
-    monkeypatch.setattr(local_optima, "refit", lambda cases, structure, values, held, process_noise: rival)
-    monkeypatch.setattr(local_optima, "refit_through_best_noise", lambda cases, p, held: p)
+    monkeypatch.setattr(forward_selection, "is_plausible", lambda cases, p, before: True)
+    monkeypatch.setattr(local_optima, "refit", lambda problem, structure, values: rival)
+    monkeypatch.setattr(local_optima, "refit_through_best_noise", lambda cases, p: p)
     monkeypatch.setattr(
         forward_selection.selection_round, "is_confirmed", lambda cases, without, p: asked.append(without) or shows
     )
-    swaps = forward_selection._alternatives((), last, before.structure, [before], [close], {})
+    swaps = forward_selection._alternatives(FitProblem(()), last, before.structure, [before], [close])
     assert len(swaps) == kept and asked == ([before] if reached < 1000.0 + UNDECIDED_MARGIN else [])
 
 
@@ -238,7 +245,7 @@ def test_what_is_followed_but_not_judged_is_said(monkeypatch):
     monkeypatch.setattr(maximum_likelihood, "roughness", lambda cases, point: 0.0)
     hidden = {"calm": None, "loud": np.array([True, False, False, False])}
     cases = [SimpleNamespace(recording=SimpleNamespace(name=n), rattle_mask=h) for n, h in hidden.items()]
-    (said,) = diagnose._remarks(replace(searched(500.0), cases=tuple(cases)), fit)
+    (said,) = diagnose._remarks(replace(searched(500.0), problem=SimpleNamespace(recordings=cases)), fit)
     assert said.startswith("loud: in 25 % of what was fitted")
 
 
@@ -261,15 +268,15 @@ def test_while_an_axis_is_pushed_dead_bands_that_differ_may_be_a_constant_torque
         prepared_recording.prepare_recording(Recording("axis", time, command, moved + noise, "%", "rad", 1e-3), plain)
     ]
     process_noise = filter_memory.process_noise_of(cases[0], 0.2)
-    last = optimizer.levenberg_marquardt(cases, plain, values, process_noise, tuple(values))
-    swaps = forward_selection._offset_for_dead_bands(cases, last, offered)
+    last = optimizer.levenberg_marquardt(FitProblem(cases, process_noise=process_noise), plain, values, tuple(values))
+    swaps = forward_selection._offset_for_dead_bands(FitProblem(cases), last, offered)
     told = [("dead_band", "constant_offset")] if offered and not coasts else []
     assert [(w.effect, w.rival) for w in swaps] == told
     for swap in swaps:
         own = swap.point.values
         assert own["offset"] == pytest.approx(0.5 * 3.0 * 0.4, rel=0.1)
         assert [own["dead_band_forward"], own["dead_band_reverse"]] == pytest.approx([5.5, 5.5], rel=0.1)
-        found = SearchResult(last, last, (), tuple(cases), (), (swap,))
+        found = SearchResult(last, last, (), FitProblem(cases), (), (swap,))
         (doubt,) = diagnose._undecided(found)
         assert doubt.ids == ("dead_band", "constant_offset") and doubt.probabilities[0] > doubt.probabilities[1] > 0.1
         assert "command" in doubt.experiment and diagnose._probabilities(found)[1] == (
@@ -278,7 +285,7 @@ def test_while_an_axis_is_pushed_dead_bands_that_differ_may_be_a_constant_torque
     # What does not differ by more than is known needs no torque.
     even = dict.fromkeys(("dead_band_forward", "dead_band_reverse"), 5.0)
     assert not forward_selection._offset_for_dead_bands(
-        cases, replace(last, values=last.values | even), ("constant_offset",)
+        FitProblem(cases), replace(last, values=last.values | even), ("constant_offset",)
     )
 
 

@@ -20,6 +20,7 @@ from twin.estimation import (
 )
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem, free_parameters
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 from twin.simulation import kernel
@@ -63,13 +64,15 @@ def shaken(duty: np.ndarray, seed: int, size: float = 1.0) -> tuple[PreparedReco
 
 
 def at_truth(case: PreparedRecording) -> Fit:
-    process_noise = optimizer.most_likely_process_noise([case], STRUCTURE, VALUES)
-    return likelihood.evaluate([case], STRUCTURE, VALUES, process_noise, preparation.free_parameters(STRUCTURE))
+    process_noise = optimizer.most_likely_process_noise(FitProblem([case]), STRUCTURE, VALUES)
+    return likelihood.evaluate(
+        FitProblem([case], process_noise=process_noise), STRUCTURE, VALUES, free_parameters(STRUCTURE)
+    )
 
 
 def test_where_noise_decides_the_moment_nothing_is_judged():
     case, _ = shaken(slow(), 0)
-    (judged,) = contact_masking.with_contact_mask([case], at_truth(case))
+    (judged,) = contact_masking.with_contact_mask(FitProblem([case]), at_truth(case)).recordings
     assert judged.contact_mask is not None and 0.01 < judged.contact_mask.mean() < contact_masking.MAX_MASKED_SHARE
     spread = [shaken(slow(), seed)[1] for seed in range(1, 30)]
     # On the second half of each ramp down the motor lets go; it meets the other flank at about its end.
@@ -82,7 +85,7 @@ def test_where_noise_decides_the_moment_nothing_is_judged():
 
 def test_quick_reversals_are_all_judged():
     case, met = shaken(quick(), 0)
-    (judged,) = contact_masking.with_contact_mask([case], at_truth(case))
+    (judged,) = contact_masking.with_contact_mask(FitProblem([case]), at_truth(case)).recordings
     assert len(met) > 4
     assert judged.contact_mask is None or not judged.contact_mask[(met / STEP).astype(int)].any()
 
@@ -92,7 +95,7 @@ def test_without_a_gap_nothing_is_hidden():
     rigid = STRUCTURE.without("backlash")
     point = replace(at_truth(case), structure=rigid)
     marked = replace(case, contact_mask=np.ones(len(case.drive.time), dtype=bool))
-    assert contact_masking.with_contact_mask([marked], point)[0].contact_mask is None
+    assert contact_masking.with_contact_mask(FitProblem([marked]), point).recordings[0].contact_mask is None
 
 
 def test_the_truth_is_as_likely_as_it_should_be_where_only_what_can_be_foreseen_is_judged():
@@ -101,9 +104,13 @@ def test_the_truth_is_as_likely_as_it_should_be_where_only_what_can_be_foreseen_
     for seed in range(4):
         case, _ = shaken(slow(), seed)
         point = at_truth(case)
-        for cases in ([case], contact_masking.with_contact_mask([case], point)):
-            here = likelihood.evaluate(cases, STRUCTURE, VALUES, point.process_noise, point.free)
-            best = optimizer.levenberg_marquardt(cases, STRUCTURE, VALUES, point.process_noise, point.free)
+        for cases in ([case], contact_masking.with_contact_mask(FitProblem([case]), point).recordings):
+            here = likelihood.evaluate(
+                FitProblem(cases, process_noise=point.process_noise), STRUCTURE, VALUES, point.free
+            )
+            best = optimizer.levenberg_marquardt(
+                FitProblem(cases, process_noise=point.process_noise), STRUCTURE, VALUES, point.free
+            )
             behind.append(here.deviance - best.deviance)
     # Of so many parameters it is chi-squared: less than three for each in all but one of a thousand.
     assert max(behind[1::2]) < 3.0 * len(VALUES)
@@ -140,13 +147,13 @@ def test_where_nothing_rattles_or_everything_does_all_is_judged(wave: float) -> 
     duty = 30.0 * (np.sign(np.sin(2.0 * np.pi * 5.0 * time)) if wave else np.ones(5000))
     blank = Recording("made", time, duty, np.zeros(5000), "%", "rad", COUNT)
     assert contact_masking.find_rattling(prepared_recording.prepare_recording(blank, STRUCTURE)) is None
-    assert preparation.prepare_recordings([swept()], STRUCTURE.without("backlash"))[0].rattle_mask is None
+    assert preparation.prepare_recordings([swept()], STRUCTURE.without("backlash")).recordings[0].rattle_mask is None
 
 
 def test_without_its_rattle_a_recording_leads_to_the_truth_from_nearby() -> None:
-    (case,) = preparation.with_internal_step(preparation.prepare_recordings([swept()], TEETH), TEETH)
+    (case,) = FitProblem(preparation.prepare_recordings([swept()], TEETH).recordings).stepped(TEETH)
     assert case.rattle_mask is not None and 0.2 < case.rattle_mask.mean() < 0.8
-    process_noise, free = filter_memory.process_noise_of(case, 0.1), preparation.free_parameters(TEETH)
+    process_noise, free = filter_memory.process_noise_of(case, 0.1), free_parameters(TEETH)
     rng = np.random.default_rng(0)
     starts = [{n: v * np.exp(0.1 * rng.standard_normal()) for n, v in SOFT.items()} for _ in range(64)]
 
@@ -155,7 +162,10 @@ def test_without_its_rattle_a_recording_leads_to_the_truth_from_nearby() -> None
         readings = np.count_nonzero(np.isfinite(likelihood.innovations(judged, TEETH, SOFT, process_noise).error))
         with ThreadPoolExecutor(2) as pool:
             climbs = pool.map(
-                lambda v: optimizer.levenberg_marquardt([judged], TEETH, v, process_noise, free), (SOFT, *starts)
+                lambda v: optimizer.levenberg_marquardt(
+                    FitProblem([judged], process_noise=process_noise), TEETH, v, free
+                ),
+                (SOFT, *starts),
             )
             ends = [point.deviance for point in climbs]
         return [(end - min(ends)) / readings for end in ends[1:]]
@@ -164,7 +174,7 @@ def test_without_its_rattle_a_recording_leads_to_the_truth_from_nearby() -> None
 
 
 def test_rattle_is_judged_in_free_runs_and_cut_with_its_recording() -> None:
-    (case,) = preparation.prepare_recordings([swept()], TEETH)
+    (case,) = preparation.prepare_recordings([swept()], TEETH).recordings
     assert likelihood.with_free_runs(case, 1.0, 2.0).rattle_mask is None
     part = preparation.excerpt(case, TEETH, 3.0, 11.0)
     assert np.array_equal(part.rattle_mask, case.rattle_mask[1500:5501])
@@ -192,10 +202,10 @@ def test_where_in_its_gap_the_motor_stood_at_the_start_misleads_nobody(stands: f
     x = kernel.start_state(0.0, 0.0, 0.5 * stands * SOFT["backlash_gap"])
     run = kernel.predict(prepared_recording.prepare_recording(blank, TEETH).drive, kernel.vector(TEETH, SOFT), x)
     recording = replace(blank, output=COUNT * np.round(run.reading / COUNT))
-    cases = preparation.with_internal_step(preparation.prepare_recordings([recording], TEETH), TEETH)
-    (chosen,) = multistart.choose_initial_contacts(cases, TEETH, SOFT)
+    cases = FitProblem(preparation.prepare_recordings([recording], TEETH).recordings).stepped(TEETH)
+    (chosen,) = multistart.choose_initial_contacts(FitProblem(cases), TEETH, SOFT).recordings
     assert chosen.contact == pytest.approx(stands, abs=0.13)
-    process_noise, free = filter_memory.process_noise_of(chosen, 0.1), preparation.free_parameters(TEETH)
-    point = optimizer.levenberg_marquardt([chosen], TEETH, SOFT, process_noise, free)
-    truth = likelihood.evaluate([chosen], TEETH, SOFT, process_noise, free)
+    process_noise, free = filter_memory.process_noise_of(chosen, 0.1), free_parameters(TEETH)
+    point = optimizer.levenberg_marquardt(FitProblem([chosen], process_noise=process_noise), TEETH, SOFT, free)
+    truth = likelihood.evaluate(FitProblem([chosen], process_noise=process_noise), TEETH, SOFT, free)
     assert truth.deviance - point.deviance < 3.0 * len(free)

@@ -11,6 +11,7 @@ from twin.effects.catalogue import BASE
 from twin.effects.end_stop import NOWHERE
 from twin.errors import BadInput
 from twin.estimation import estimate, preparation, two_stage
+from twin.estimation.problem import free_parameters
 from twin.estimation.two_stage import NAMES, TwoStage
 from twin.io import recording
 from twin.io.recording import Recording
@@ -22,9 +23,7 @@ def test_held_is_what_a_model_has_without_a_standard_error() -> None:
     structure = Structure.of([*BASE, "end_stop"])
     values = preparation.complete_values(structure, {"stop_lower": -1.5, "stop_upper": NOWHERE["stop_upper"]})
     assert estimate.held_parameters(Model(structure, values)) == {}
-    free = tuple(
-        n for n in preparation.free_parameters(structure) if n not in ("motor_share", "stop_lower", "stop_upper")
-    )
+    free = tuple(n for n in free_parameters(structure) if n not in ("motor_share", "stop_lower", "stop_upper"))
     made = Model(structure, values, free, np.eye(len(free)))
     # A stop that nothing met stands nowhere; the next recording may meet it.
     assert estimate.held_parameters(made) == {"motor_share": values["motor_share"], "stop_lower": -1.5}

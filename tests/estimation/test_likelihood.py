@@ -27,6 +27,7 @@ from twin.estimation import (
 )
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem, free_parameters
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 from twin.simulation import kernel
@@ -83,8 +84,8 @@ def made(correlated: float = 0.0, duration: float = 30.0, seed: int = 1) -> Prep
 def test_errors_that_hang_together_widen_the_standard_errors(correlated: float, least: float, most: float) -> None:
     case = made(correlated)
     process_noise = filter_memory.process_noise_of(case, 0.2)
-    point = optimizer.levenberg_marquardt([case], STRUCTURE, VALUES, process_noise, FREE)
-    wider = np.sqrt(np.diag(likelihood.jackknife_covariance([case], point)) / np.diag(point.covariance))
+    point = optimizer.levenberg_marquardt(FitProblem([case], process_noise=process_noise), STRUCTURE, VALUES, FREE)
+    wider = np.sqrt(np.diag(likelihood.jackknife_covariance(FitProblem([case]), point)) / np.diag(point.covariance))
     assert least <= float(np.median(wider)) < most
 
 
@@ -106,7 +107,7 @@ def test_a_place_is_remembered_by_all_that_its_likelihood_comes_from() -> None:
     ]
     assert len({c.digest for c in others}) == len(others)
     assert replace(case, drive=replace(case.drive)).digest == case.digest
-    first = likelihood.evaluate([case], STRUCTURE, VALUES, 1e6, FREE)
+    first = likelihood.evaluate(FitProblem([case], process_noise=1e6), STRUCTURE, VALUES, FREE)
     for cases, values, process_noise, free in (
         ([others[4]], VALUES, 1e6, FREE),
         ([case, case], VALUES, 1e6, FREE),
@@ -114,12 +115,14 @@ def test_a_place_is_remembered_by_all_that_its_likelihood_comes_from() -> None:
         ([case], VALUES, 2e6, FREE),
         ([case], VALUES, 1e6, FREE[:3]),
     ):
-        found = likelihood.evaluate(cases, STRUCTURE, values, process_noise, free)
+        found = likelihood.evaluate(FitProblem(cases, process_noise=process_noise), STRUCTURE, values, free)
         results = [likelihood.innovations(c, STRUCTURE, values, process_noise, free) for c in cases]
-        fresh = likelihood.fit_from_innovations(cases, STRUCTURE, values, process_noise, free, results)
+        fresh = likelihood.fit_from_innovations(FitProblem(cases, {}, process_noise), STRUCTURE, values, free, results)
         assert found.deviance == fresh.deviance != first.deviance or free != FREE
         assert np.array_equal(found.information, fresh.information) and np.array_equal(found.gradient, fresh.gradient)
-    again = likelihood.evaluate([replace(case)], STRUCTURE, dict(reversed(VALUES.items())), 1e6, FREE)
+    again = likelihood.evaluate(
+        FitProblem([replace(case)], process_noise=1e6), STRUCTURE, dict(reversed(VALUES.items())), FREE
+    )
     assert again is first
 
 
@@ -129,7 +132,7 @@ def test_what_stretches_say_is_the_sum_of_what_their_readings_say() -> None:
     blank, weight = np.zeros(len(case.drive.time), dtype=bool), np.zeros(len(case.drive.time))
     blank[600:1100] = True  # more than a stretch
     case = replace(case, contact_mask=blank)
-    point = likelihood.evaluate([case], STRUCTURE, VALUES, 1.0, FREE)
+    point = likelihood.evaluate(FitProblem([case], process_noise=1.0), STRUCTURE, VALUES, FREE)
     run = likelihood.innovations(case, STRUCTURE, VALUES, 1.0, FREE)
     z = run.error / np.sqrt(run.variance * point.scale)
     assert np.count_nonzero(np.abs(z) > likelihood.HUBER_LIMIT) > 0 and np.isnan(z[800])
@@ -140,7 +143,7 @@ def test_what_stretches_say_is_the_sum_of_what_their_readings_say() -> None:
     assert len(each) == 9
     np.testing.assert_allclose(point.gradient, pulls.sum(axis=0), rtol=1e-9, atol=1e-12 * np.abs(pulls).sum())
     np.testing.assert_allclose(point.information, run.slopes.T @ (per[:, None] * run.slopes), rtol=1e-9, atol=1e-9)
-    by_stretch, _ = likelihood._scores_by_block([case], STRUCTURE, VALUES, 1.0, FREE, point.scale, None, 0.5)
+    by_stretch, _ = likelihood._scores_by_block(FitProblem([case]), point, None, 0.5)
     np.testing.assert_allclose(by_stretch, each, rtol=1e-7, atol=1e-9 * np.abs(pulls).sum())
 
 
@@ -151,7 +154,7 @@ def test_slow_errors_are_seen_where_little_is_judged_too() -> None:
     units = []
     for case in (whole, replace(whole, rattle_mask=late)):
         point = optimizer.levenberg_marquardt(
-            [case], STRUCTURE, VALUES, filter_memory.process_noise_of(case, 0.2), FREE
+            FitProblem([case], process_noise=filter_memory.process_noise_of(case, 0.2)), STRUCTURE, VALUES, FREE
         )
         units.append(point.overdispersion)
     assert units[0] > 2.0 and units[1] > 0.3 * units[0]
@@ -160,7 +163,9 @@ def test_slow_errors_are_seen_where_little_is_judged_too() -> None:
 def test_slow_errors_are_seen_in_a_short_recording_too() -> None:
     """Were it taken for one whose errors have nothing to do with each other, the larger of two models would win."""
     case = made(1.0, duration=4.0)
-    point = optimizer.levenberg_marquardt([case], STRUCTURE, VALUES, filter_memory.process_noise_of(case, 0.2), FREE)
+    point = optimizer.levenberg_marquardt(
+        FitProblem([case], process_noise=filter_memory.process_noise_of(case, 0.2)), STRUCTURE, VALUES, FREE
+    )
     assert point.overdispersion > 2.0
 
 
@@ -187,7 +192,9 @@ def test_slopes_that_have_run_away_do_not_hold_a_climb() -> None:
     case, values, process_noise = rattling()
     structure, off = STRUCTURE.with_("tooth_compliance"), ("input_gain", "dead_band_forward", "backlash_gap")
     begun = {n: 1.02 * v if n in off else v for n, v in values.items()}
-    reached = optimizer.levenberg_marquardt([case], structure, begun, process_noise, tuple(values))
+    reached = optimizer.levenberg_marquardt(
+        FitProblem([case], process_noise=process_noise), structure, begun, tuple(values)
+    )
     assert abs(reached.values["input_gain"] / values["input_gain"] - 1.0) < 0.01
 
 
@@ -241,9 +248,11 @@ def test_what_happened_in_a_silence_bends_no_estimate() -> None:
     recording = replace(whole.recording, output=read)
     case = prepared_recording.prepare_recording(recording, STRUCTURE)
     start = {**VALUES, "input_gain": 0.31, "viscous_friction": 2.1}
-    point = optimizer.levenberg_marquardt([case], STRUCTURE, start, filter_memory.process_noise_of(case, 0.2), FREE)
+    point = optimizer.levenberg_marquardt(
+        FitProblem([case], process_noise=filter_memory.process_noise_of(case, 0.2)), STRUCTURE, start, FREE
+    )
     away = [point.values[n] - VALUES[n] for n in FREE] / np.sqrt(
-        np.diag(likelihood.jackknife_covariance([case], point))
+        np.diag(likelihood.jackknife_covariance(FitProblem([case]), point))
     )
     assert np.all(np.abs(away) < 4.0) and point.overdispersion < 2.0
     apart = kernel.predict(case.drive, kernel.vector(STRUCTURE, VALUES), x).reading - moved
@@ -255,9 +264,12 @@ def test_values_so_wild_that_the_model_overflows_are_refused_without_a_word() ->
     wild = [VALUES | {"input_gain": gain} for gain in (1e160, 1e300)]
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # in every thread: an array's overflow would be raised
-        assert likelihood.deviances([case], STRUCTURE, wild, 1.0) == [math.inf, math.inf]
-        assert likelihood.evaluate([case], STRUCTURE, wild[0], 1.0, FREE).deviance == math.inf
-        assert "cannot run" in optimizer.levenberg_marquardt([case], STRUCTURE, wild[0], 1.0, FREE).message
+        assert likelihood.deviances(FitProblem([case], process_noise=1.0), STRUCTURE, wild) == [math.inf, math.inf]
+        assert likelihood.evaluate(FitProblem([case], process_noise=1.0), STRUCTURE, wild[0], FREE).deviance == math.inf
+        assert (
+            "cannot run"
+            in optimizer.levenberg_marquardt(FitProblem([case], process_noise=1.0), STRUCTURE, wild[0], FREE).message
+        )
         untraced = Fit(STRUCTURE, VALUES, 1.0, FREE[:2], 0.0, 1.0, np.diag([4.0, 0.0]), np.zeros(2), np.eye(2))
         assert np.array_equal(untraced.covariance, [[0.25, 0.0], [0.0, math.inf]]) and untraced.overdispersion == 1.0
 
@@ -266,8 +278,12 @@ def test_a_model_that_no_command_moves_is_refused() -> None:
     """Far from the truth it would be the likeliest: a slow axis is followed best by a filter that expects nothing."""
     case = made(duration=5.0)
     wide = {**VALUES, "dead_band_forward": 90.0, "dead_band_reverse": 90.0}
-    assert likelihood.evaluate([case], STRUCTURE, wide, 1.0).deviance == np.inf
-    assert np.isfinite(likelihood.evaluate([case], STRUCTURE, {**wide, "dead_band_reverse": 50.0}, 1.0).deviance)
+    assert likelihood.evaluate(FitProblem([case], process_noise=1.0), STRUCTURE, wide).deviance == np.inf
+    assert np.isfinite(
+        likelihood.evaluate(
+            FitProblem([case], process_noise=1.0), STRUCTURE, {**wide, "dead_band_reverse": 50.0}
+        ).deviance
+    )
 
 
 @pytest.mark.parametrize("stop", ["stop_lower", "stop_upper"])
@@ -281,9 +297,13 @@ def test_a_stop_far_on_the_wrong_side_of_all_readings_is_refused_without_a_run(m
         "stop_upper": (most - 0.1 * case.reading_span, least - 1.1 * case.reading_span),
     }[stop]
     for place in (NOWHERE[stop], met):
-        assert np.isfinite(likelihood.evaluate([case], structure, {**stiff, stop: place}, 1.0).deviance)
+        assert np.isfinite(
+            likelihood.evaluate(FitProblem([case], process_noise=1.0), structure, {**stiff, stop: place}).deviance
+        )
     monkeypatch.setattr(likelihood, "innovations", None)
-    assert likelihood.evaluate([case], structure, {**stiff, stop: wrong}, 1.0).deviance == np.inf
+    assert (
+        likelihood.evaluate(FitProblem([case], process_noise=1.0), structure, {**stiff, stop: wrong}).deviance == np.inf
+    )
 
 
 SOUND = {
@@ -311,12 +331,12 @@ def test_a_motor_that_rattles_makes_the_likelihood_rough_and_the_errors_wide(
     cases = [prepared_recording.prepare_recording(recording, structure)]
     process_noise = filter_memory.process_noise_of(cases[0], 0.1)
     point = optimizer.levenberg_marquardt(
-        cases, structure, values, process_noise, preparation.free_parameters(structure)
+        FitProblem(cases, process_noise=process_noise), structure, values, free_parameters(structure)
     )
-    found = maximum_likelihood.roughness(cases, point)
+    found = maximum_likelihood.roughness(FitProblem(cases), point)
     assert found > 100.0 if rough else found < 1.0
-    model = maximum_likelihood.to_model(cases, point, [recording], {})
-    least = point.covariance if rough else likelihood.jackknife_covariance(cases, point)
+    model = maximum_likelihood.to_model(FitProblem(cases), point, [recording])
+    least = point.covariance if rough else likelihood.jackknife_covariance(FitProblem(cases), point)
     wider = np.sqrt(np.diag(model.covariance) / np.diag(least))
     assert np.all(wider > 10.0) if rough else np.all(wider < 1.2)
     # What bounces have made of the slopes must not pass for knowledge.
@@ -389,7 +409,7 @@ def test_friction_in_one_direction_alone_has_a_size_that_is_known() -> None:
     case = prepared_recording.prepare_recording(recording, structure)
     begun = {**values, "coulomb_friction": 0.4, "friction_asymmetry": -1.5}
     found = optimizer.levenberg_marquardt(
-        [case], structure, begun, filter_memory.process_noise_of(case, 0.1), tuple(values)
+        FitProblem([case], process_noise=filter_memory.process_noise_of(case, 0.1)), structure, begun, tuple(values)
     )
     lean = found.free.index("friction_asymmetry")
     assert found.values["friction_asymmetry"] == pytest.approx(-1.0, abs=0.1)

@@ -9,6 +9,7 @@ import pytest
 from axis_runs import run, steps
 
 from twin.estimation import maximum_likelihood, multistart, optimizer, parameter_bounds, preparation
+from twin.estimation.problem import FitProblem, free_parameters
 from twin.io.recording import Recording
 
 STRUCTURE, COUNT = preparation.base_structure(), 6e-4
@@ -26,16 +27,16 @@ def made(count: int) -> Recording:
 
 
 def test_a_long_recording_is_looked_at_in_parts_from_its_beginning_to_its_end() -> None:
-    whole = preparation.prepare_recordings([made(30000)], STRUCTURE)
-    parts = multistart.excerpts(whole, STRUCTURE)
+    whole = preparation.prepare_recordings([made(30000)], STRUCTURE).recordings
+    parts = multistart.excerpts(FitProblem(whole), STRUCTURE).recordings
     assert len(parts) == 5 and {p.reading_variance for p in parts} == {whole[0].reading_variance}
     assert all(p.drive.time[0] == 0.0 and p.drive.time[-1] == pytest.approx(4.0, abs=0.003) for p in parts)
     first, last, output = parts[0].recording.output, parts[-1].recording.output, whole[0].recording.output
     np.testing.assert_array_equal(first, output[: len(first)])
     np.testing.assert_array_equal(last, output[-len(last) :])
-    short = preparation.prepare_recordings([made(7000)], STRUCTURE)
-    assert multistart.excerpts(short, STRUCTURE) == short
-    assert multistart.excerpts(whole, STRUCTURE.with_("thermal_fade")) == whole
+    short = preparation.prepare_recordings([made(7000)], STRUCTURE).recordings
+    assert multistart.excerpts(FitProblem(short), STRUCTURE).recordings == [*short]
+    assert multistart.excerpts(FitProblem(whole), STRUCTURE.with_("thermal_fade")).recordings == whole
 
 
 def test_no_part_lies_in_a_pause() -> None:
@@ -46,20 +47,24 @@ def test_no_part_lies_in_a_pause() -> None:
     # Nothing but a few seconds at the end.
     lone = replace(paused, output=np.where(recording.time < 37.0, np.nan, recording.output))
     for shown, least in ((paused, 900), (lone, 700)):
-        parts = multistart.excerpts(preparation.prepare_recordings([shown], STRUCTURE), STRUCTURE)
+        parts = multistart.excerpts(
+            FitProblem(preparation.prepare_recordings([shown], STRUCTURE).recordings), STRUCTURE
+        ).recordings
         assert len(parts) == 5 and all(np.isfinite(p.drive.measured).sum() > least for p in parts)
 
 
 @pytest.mark.parametrize("gap", [0.018, 0.1])
 def test_a_memory_that_grows_leads_from_another_gap_and_other_teeth_to_the_truth(gap: float) -> None:
     """A climb with the memory at which all ends gets no further than a valley nearby."""
-    cases = preparation.with_internal_step(preparation.prepare_recordings([made(10000)], STRUCTURE), STRUCTURE)
-    free = preparation.free_parameters(STRUCTURE)
+    cases = FitProblem(preparation.prepare_recordings([made(10000)], STRUCTURE).recordings).stepped(STRUCTURE)
+    free = free_parameters(STRUCTURE)
     apart = {"backlash_gap": gap, "motor_share": 0.3 * 0.03 / gap, "tooth_frequency": 80.0, "tooth_damping": 0.4}
-    point = multistart._fit_by_lengthening_memory(cases, STRUCTURE, VALUES | apart, free)
+    point = multistart._fit_by_lengthening_memory(FitProblem(cases), STRUCTURE, VALUES | apart, free)
     assert point.values["backlash_gap"] == pytest.approx(VALUES["backlash_gap"], rel=0.03)
     assert point.values["tooth_frequency"] == pytest.approx(VALUES["tooth_frequency"], rel=0.05)
-    direct = optimizer.levenberg_marquardt(cases, STRUCTURE, VALUES | apart, point.process_noise, free)
+    direct = optimizer.levenberg_marquardt(
+        FitProblem(cases, process_noise=point.process_noise), STRUCTURE, VALUES | apart, free
+    )
     assert direct.deviance > point.deviance + 100.0
 
 
@@ -72,8 +77,8 @@ def test_the_way_is_found_in_parts_and_ends_with_all_of_a_recording(monkeypatch:
         "_fit_by_lengthening_memory",
         lambda seen, *more, way=multistart._fit_by_lengthening_memory: ways.append(seen) or way(seen, *more),
     )
-    point = multistart.fit_from_starts(cases, STRUCTURE, begun, {})
-    assert all(len(seen) == 5 and seen[0].drive.time[-1] < 1.6 for seen in ways)
+    point = multistart.fit_from_starts(cases, STRUCTURE, begun)
+    assert all(len(seen.recordings) == 5 and seen.recordings[0].drive.time[-1] < 1.6 for seen in ways)
     assert point.values["input_gain"] == pytest.approx(VALUES["input_gain"], rel=1e-3)
     assert point.values["backlash_gap"] == pytest.approx(VALUES["backlash_gap"], rel=0.02)
 
@@ -87,7 +92,8 @@ def test_a_linear_axis_is_the_same_rig_seen_at_a_pinion() -> None:
         cases, points = multistart.coarse_starts([recording], rigid, {})
         known = VALUES | {"input_gain": 0.3 * length, "backlash_gap": 0.03 * length}
         bred = multistart._evolved_starts(
-            preparation.with_internal_step(cases, STRUCTURE), replace(points[0], structure=STRUCTURE, values=known)
+            cases,
+            replace(points[0], structure=STRUCTURE, values=known),
         )
         gaps = [v["backlash_gap"] for v in (*(p.values for p in points), *bred)]
         gains = [p.values["input_gain"] for p in points]
@@ -96,19 +102,20 @@ def test_a_linear_axis_is_the_same_rig_seen_at_a_pinion() -> None:
 
 
 def test_from_where_no_slope_leads_to_the_truth_breeding_does() -> None:
-    cases = preparation.with_internal_step(preparation.prepare_recordings([made(7000)], STRUCTURE), STRUCTURE)
-    free = preparation.free_parameters(STRUCTURE)
+    cases = FitProblem(preparation.prepare_recordings([made(7000)], STRUCTURE).recordings).stepped(STRUCTURE)
+    free = free_parameters(STRUCTURE)
     apart = {"backlash_gap": 0.012, "motor_share": 0.75, "tooth_frequency": 120.0, "tooth_damping": 0.4}
-    astray = multistart._fit_by_lengthening_memory(cases, STRUCTURE, VALUES | apart, free)
+    astray = multistart._fit_by_lengthening_memory(FitProblem(cases), STRUCTURE, VALUES | apart, free)
     assert astray.values["backlash_gap"] < 0.5 * VALUES["backlash_gap"]
-    bred = multistart._evolved_starts(cases, astray)
+    bred = multistart._evolved_starts(FitProblem(cases), astray)
     for i, one in enumerate(bred):
         assert parameter_bounds.within_bounds(one)
         assert all(
             max(abs(np.log(one[n] / other[n])) for n in multistart._EVOLUTION_RANGES) > 0.09 for other in bred[:i]
         )
     found = min(
-        (multistart._fit_by_lengthening_memory(cases, STRUCTURE, v, free) for v in bred), key=lambda p: p.deviance
+        (multistart._fit_by_lengthening_memory(FitProblem(cases), STRUCTURE, v, free) for v in bred),
+        key=lambda p: p.deviance,
     )
     assert found.deviance < astray.deviance - 100.0
     assert found.values["backlash_gap"] == pytest.approx(VALUES["backlash_gap"], rel=0.05)

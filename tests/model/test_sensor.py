@@ -8,7 +8,8 @@ from axis_runs import run, steps
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.estimation import likelihood, optimizer, preparation, prepared_recording
+from twin.estimation import likelihood, optimizer, prepared_recording
+from twin.estimation.problem import FitProblem, free_parameters
 from twin.io.recording import Recording
 from twin.model import sensor
 from twin.model.stepper import Structure
@@ -48,7 +49,7 @@ def test_an_encoder_off_centre_is_estimated_wherever_a_recording_begins(angle: f
     assert abs(recording.output[0]) > 15.0 * COUNT
     case = prepared_recording.prepare_recording(recording, OFF_CENTRE)
     begun = {**true, "eccentricity": 0.004, "eccentricity_angle": angle + 0.5}
-    found = optimizer.fit_with_process_noise([case], OFF_CENTRE, begun, preparation.free_parameters(OFF_CENTRE))
+    found = optimizer.fit_with_process_noise(FitProblem([case]), OFF_CENTRE, begun, free_parameters(OFF_CENTRE))
     assert found.values["eccentricity"] == pytest.approx(0.01, rel=0.1)
     assert found.values["eccentricity_angle"] == pytest.approx(angle, abs=0.1)
 

@@ -17,7 +17,8 @@ import estimator_study
 from estimator_study import METHODS, Outcome, cell, main
 from simulators import SIMULATORS
 
-from twin.estimation.preparation import base_structure, free_parameters
+from twin.estimation.preparation import base_structure
+from twin.estimation.problem import free_parameters
 
 
 def outcome(estimate: float, std: float, bound: float, parameter: str = "input_gain") -> Outcome:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from axis_runs import run, steps
 
 from twin.estimation import filter_memory, likelihood, preparation, prepared_recording
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.io.recording import Loop, Recording
 from twin.model.stepper import STATES, Structure
 from twin.simulation import kernel
@@ -56,12 +58,12 @@ def test_slopes_in_pieces_are_those_of_the_whole(most: int, closed: bool) -> Non
 
 @pytest.mark.parametrize("ahead", [False, True])
 def test_a_point_is_the_same_in_pieces(monkeypatch: pytest.MonkeyPatch, ahead: bool) -> None:
-    def found(cases: list[PreparedRecording]) -> list[np.ndarray]:
-        point = likelihood.evaluate(cases, STRUCTURE, VALUES, process_noise, FREE)
-        spread = likelihood.jackknife_covariance(cases, point)
+    def found(cases: Sequence[PreparedRecording]) -> list[np.ndarray]:
+        point = likelihood.evaluate(FitProblem(cases, process_noise=process_noise), STRUCTURE, VALUES, FREE)
+        spread = likelihood.jackknife_covariance(FitProblem(cases), point)
         return [np.array([point.deviance, point.scale]), point.information, point.gradient, spread]
 
-    cases = preparation.prepare_recordings([made(), made(3000)], STRUCTURE)
+    cases = preparation.prepare_recordings([made(), made(3000)], STRUCTURE).recordings
     process_noise = filter_memory.process_noise_of(cases[0], 0.05)
     if ahead:
         cases = [likelihood.with_free_runs(c, process_noise, 1.0) for c in cases]

@@ -21,6 +21,7 @@ from twin.diagnosis.forward_selection import SearchResult
 from twin.diagnosis.plausibility import is_plausible
 from twin.effects.catalogue import CANDIDATES
 from twin.estimation import estimate, filter_memory, likelihood, optimizer, preparation, prepared_recording
+from twin.estimation.problem import FitProblem
 from twin.io import recording
 from twin.io.recording import Loop, Recording
 from twin.model.fitted_model import Model
@@ -44,19 +45,19 @@ def made(
 
 
 def test_only_what_such_recordings_can_show_is_offered() -> None:
-    assert set(screening.testable_candidates(made("rad", 1, swing=5.0), CANDIDATES)) == set(CANDIDATES)
-    linear = screening.testable_candidates(made("m", 1), CANDIDATES)
+    assert set(screening.testable_candidates(FitProblem(made("rad", 1, swing=5.0)), CANDIDATES)) == set(CANDIDATES)
+    linear = screening.testable_candidates(FitProblem(made("m", 1)), CANDIDATES)
     assert "constant_offset" in linear and not {"gravity", "encoder_eccentricity"} & set(linear)
-    several = screening.testable_candidates(made("rad", 2, swing=5.0), CANDIDATES)
+    several = screening.testable_candidates(FitProblem(made("rad", 2, swing=5.0)), CANDIDATES)
     assert "gravity" in several and not {"load_change", "periodic_disturbance"} & set(several)
-    short = screening.testable_candidates(made("rad", 1, swing=0.3), CANDIDATES)
+    short = screening.testable_candidates(FitProblem(made("rad", 1, swing=0.3)), CANDIDATES)
     assert "gravity" in short and "encoder_eccentricity" not in short
     assert "position_dependent_friction" in short, "it turns with the motion over a tenth of a turn, too"
-    shorter = screening.testable_candidates(made("rad", 1, swing=0.2), CANDIDATES)
+    shorter = screening.testable_candidates(FitProblem(made("rad", 1, swing=0.2)), CANDIDATES)
     assert "gravity" in shorter and "position_dependent_friction" not in shorter
-    third = screening.testable_candidates(made("rad", 1, swing=1.0), CANDIDATES)
+    third = screening.testable_candidates(FitProblem(made("rad", 1, swing=1.0)), CANDIDATES)
     assert {"encoder_eccentricity", "position_dependent_friction"} <= set(third)
-    speeds = screening.testable_candidates(made("rad/s", 2), CANDIDATES)
+    speeds = screening.testable_candidates(FitProblem(made("rad/s", 2)), CANDIDATES)
     assert "drive_saturation" in speeds and not {"gravity", "spring", "torque_ripple"} & set(speeds)
 
 
@@ -66,8 +67,8 @@ def test_a_disturbance_in_the_rhythm_of_the_motion_is_not_one_from_outside(frequ
     structure = Structure.of(["inertia", "viscous_friction", "periodic_disturbance"])
     values = {p.name: p.start for p in structure.parameters}
     values |= {"disturbance_frequency": frequency, "disturbance_phase": 0.3, "disturbance": 1.0}
-    point = likelihood.evaluate(cases, structure, values, 1.0)
-    assert is_plausible(cases, point) == outside
+    point = likelihood.evaluate(FitProblem(cases, process_noise=1.0), structure, values)
+    assert is_plausible(FitProblem(cases), point) == outside
 
 
 def test_held_and_rounded_readings_do_not_run_away_with_the_noise_density() -> None:
@@ -78,7 +79,9 @@ def test_held_and_rounded_readings_do_not_run_away_with_the_noise_density() -> N
     one = Recording("held", time, np.full(len(time), 10.0), seen, "%", "rad/s", resolution=4.0)
     structure = Structure.of(["inertia", "viscous_friction"])
     case = prepared_recording.prepare_recording(one, structure)
-    found = optimizer.most_likely_process_noise([case], structure, {"input_gain": 50.0, "viscous_friction": 5.0})
+    found = optimizer.most_likely_process_noise(
+        FitProblem([case]), structure, {"input_gain": 50.0, "viscous_friction": 5.0}
+    )
     assert found <= filter_memory.process_noise_of(case, 4.9 * case.step)
 
 
@@ -90,7 +93,7 @@ def test_one_sensor_has_one_noise_however_quick_the_motion() -> None:
     structure = Structure.of(["inertia", "viscous_friction"])
     alone = [prepared_recording.prepare_recording(r, structure).reading_variance for r in recordings]
     assert alone[1] > 10.0 * alone[0]
-    together = preparation.prepare_recordings(recordings, structure)
+    together = preparation.prepare_recordings(recordings, structure).recordings
     assert [c.reading_variance for c in together] == pytest.approx([count**2 / 12.0] * 2, rel=0.5)
 
 

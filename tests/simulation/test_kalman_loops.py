@@ -12,6 +12,7 @@ from scipy.linalg import expm
 from twin.effects.catalogue import BASE
 from twin.estimation import filter_memory, likelihood, optimizer, prepared_recording
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording
 from twin.model.stepper import STATES, Structure
 from twin.simulation import kernel
@@ -142,10 +143,10 @@ def test_after_a_silence_the_filter_begins_anew_where_it_reads_the_axis(speed: b
 def test_noise_is_found_as_strong_as_it_is_in_a_loose_gap() -> None:
     shaken = 1.0
     case = made(shaken=shaken, duration=30.0)
-    found = optimizer.most_likely_process_noise([case], STRUCTURE, VALUES)
+    found = optimizer.most_likely_process_noise(FitProblem([case]), STRUCTURE, VALUES)
     planted = (VALUES["input_gain"] * shaken) ** 2 * STEP / case.reading_variance
     assert 0.3 < found / planted < 3.0
-    point = likelihood.evaluate([case], STRUCTURE, VALUES, found, FREE)
+    point = likelihood.evaluate(FitProblem([case], process_noise=found), STRUCTURE, VALUES, FREE)
     assert 0.7 < point.scale < 1.5
     # A stretch for each parameter is used up by the maximum: what is left is taken for the more.
     stretches = 30.0 / 0.5

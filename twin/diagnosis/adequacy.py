@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from twin.diagnosis import drift
 from twin.diagnosis.drift import Dynamics, MeanSquare
 from twin.diagnosis.holdout import RecordingPart
-from twin.estimation import filter_memory, likelihood, optimizer, parameter_bounds, preparation
+from twin.estimation import filter_memory, likelihood, optimizer, parameter_bounds
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.fmi.python_fmu import start_state
 from twin.io.recording import known_quantities
 from twin.model import equations
@@ -285,23 +286,22 @@ def together(errors: Sequence[Error], was_fitted: bool) -> FreeRun:
     return FreeRun(math.sqrt(square), math.sqrt(null.mean), null.chance(square))
 
 
-def at_own_noise(cases: Sequence[PreparedRecording], point: Fit) -> Fit:
+def at_own_noise(problem: FitProblem, point: Fit) -> Fit:
     """The same model at the torque noise that makes the recordings likeliest, with its parameters' covariance there.
 
     A search judges at a noise of its own choice.
     """
-    mine = preparation.with_internal_step(cases, point.structure)
-    process_noise = optimizer.most_likely_process_noise(mine, point.structure, point.values, around=point.process_noise)
-    return likelihood.evaluate(mine, point.structure, point.values, process_noise, point.free)
+    process_noise = optimizer.most_likely_process_noise(
+        problem, point.structure, point.values, around=point.process_noise
+    )
+    return likelihood.evaluate(problem.at(process_noise), point.structure, point.values, point.free)
 
 
-def free_runs(
-    parts: Sequence[RecordingPart], cases: Sequence[PreparedRecording], point: Fit, was_fitted: bool
-) -> list[Error]:
-    """The errors of the free runs through these parts, each prepared as one of the cases, with the points of the grid
-    shared out by length.
+def free_runs(parts: Sequence[RecordingPart], problem: FitProblem, point: Fit, was_fitted: bool) -> list[Error]:
+    """The errors of the free runs through these parts, one for each of the problem's recordings, with the points of the
+    grid shared out by length.
     """
-    mine = preparation.with_internal_step(cases, point.structure)
+    mine = problem.stepped(point.structure)
     whole = sum(len(c.drive.time) for c in mine)
     return [
         error(c, p, point, min(max(POINTS * len(c.drive.time) // whole, FEWEST), len(c.drive.time) - 1))

@@ -10,7 +10,6 @@ none of the largest changes is a loss.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,53 +17,54 @@ from numpy.typing import NDArray
 from scipy.stats import wilcoxon
 
 from twin.diagnosis import thresholds
-from twin.estimation import likelihood, optimizer, preparation
+from twin.estimation import likelihood, optimizer
 from twin.estimation.fit import Fit
-from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.parallel import each
 
 FloatArray = NDArray[np.float64]
 
 
-def _reading_losses(cases: Sequence[PreparedRecording], point: Fit, scale: float) -> list[FloatArray]:
+def _reading_losses(problem: FitProblem, point: Fit, scale: float) -> list[FloatArray]:
     """What each reading (N,) of each case takes from the likelihood at a scale; nothing where none is judged."""
     out = []
-    for case in preparation.with_internal_step(cases, point.structure):
+    for case in problem.stepped(point.structure):
         run = likelihood.innovations(case, point.structure, point.values, point.process_noise)
         loss = likelihood.huber_loss(run.error / np.sqrt(run.variance * scale))
         out.append(np.where(case.masked | ~np.isfinite(loss), 0.0, loss))
     return out
 
 
-def block_gains(cases: Sequence[PreparedRecording], smaller: Fit, larger: Fit) -> FloatArray:
+def block_gains(problem: FitProblem, smaller: Fit, larger: Fit) -> FloatArray:
     """By how much the larger model does better on each stretch (M,) that its own values were not fitted to."""
     own = tuple(n for n in larger.free if n not in smaller.free)
-    stretches = [(c.drive.time / likelihood.BLOCK_LENGTH).astype(np.intp) for c in cases]
-    plain = _reading_losses(cases, smaller, smaller.scale)
+    stretches = [(c.drive.time / likelihood.BLOCK_LENGTH).astype(np.intp) for c in problem.recordings]
+    plain = _reading_losses(problem, smaller, smaller.scale)
 
     def left_out(fold: int) -> list[FloatArray]:
         hidden = [
-            ~c.masked & (s % thresholds.CROSS_VALIDATION_FOLDS == fold) for c, s in zip(cases, stretches, strict=True)
+            ~c.masked & (s % thresholds.CROSS_VALIDATION_FOLDS == fold)
+            for c, s in zip(problem.recordings, stretches, strict=True)
         ]
-        fitted = [replace(c, contact_mask=c.masked | h) for c, h in zip(cases, hidden, strict=True)]
-        mine = preparation.with_internal_step(fitted, larger.structure)
+        masked = [replace(c, contact_mask=c.masked | h) for c, h in zip(problem.recordings, hidden, strict=True)]
+        fitted = problem.on(masked)
         # Where names gave way to fewer there may be nothing of its own.
         found = (
-            optimizer.levenberg_marquardt(mine, larger.structure, larger.values, larger.process_noise, own)
+            optimizer.levenberg_marquardt(fitted.at(larger.process_noise), larger.structure, larger.values, own)
             if own
             else larger
         )
-        better = [a - b for a, b in zip(plain, _reading_losses(cases, found, smaller.scale), strict=True)]
+        better = [a - b for a, b in zip(plain, _reading_losses(problem, found, smaller.scale), strict=True)]
         return [np.bincount(s[h], d[h])[np.unique(s[h])] for s, h, d in zip(stretches, hidden, better, strict=True)]
 
     return np.concatenate([g for fold in each(left_out, range(thresholds.CROSS_VALIDATION_FOLDS)) for g in fold])
 
 
-def gain_p_value(cases: Sequence[PreparedRecording], smaller: Fit, larger: Fit) -> float:
+def gain_p_value(problem: FitProblem, smaller: Fit, larger: Fit) -> float:
     """The chance that the larger model would do better on as many stretches, were there nothing to what it adds; or
     that all of the largest changes would be gains, as where it acts in one place only.
     """
-    return p_value_of_gains(block_gains(cases, smaller, larger))
+    return p_value_of_gains(block_gains(problem, smaller, larger))
 
 
 def p_value_of_gains(found: FloatArray) -> float:

@@ -30,7 +30,7 @@ from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.effects.knots import spots, through
 from twin.estimation import optimizer, preparation
 from twin.estimation.fit import Fit
-from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.model import equations
 from twin.model.stepper import Structure
 from twin.parallel import each
@@ -71,47 +71,45 @@ def _without_effects(last: Fit, ids: Sequence[str]) -> Fit:
     return replace(last, structure=structure, values=values, free=tuple(n for n in last.free if n in values))
 
 
-def _fit_curve_instead(cases: Sequence[PreparedRecording], last: Fit, ids: Sequence[str], variable: str) -> Fit:
+def _fit_curve_instead(problem: FitProblem, last: Fit, ids: Sequence[str], variable: str) -> Fit:
     """The last model with a curve over the variable in the place of these effects: from what it lacks without them, or
     from what they do, where rattle hides that.
     """
-    sketched = nonparametric.sketch_curve(cases, _without_effects(last, ids), nonparametric.CurveTerm(variable))
+    sketched = nonparametric.sketch_curve(problem, _without_effects(last, ids), nonparametric.CurveTerm(variable))
     prefix = f"unknown_{variable}"
     at = spots(prefix, sketched.values)
     unit = through(prefix, at, np.ones(len(at)).tolist())
     sense = _effect_torques([prefix], replace(sketched, values=unit), np.zeros(1), variable)[0]
     same = through(prefix, at, (sense * _effect_torques(ids, last, np.array(at), variable).sum(axis=0)).tolist())
     begun = replace(sketched, values={**preparation.complete_values(sketched.structure, last.values), **same})
-    return min(each(lambda p: nonparametric.fit_curve(cases, p), (sketched, begun)), key=lambda p: p.deviance)
+    return min(each(lambda p: nonparametric.fit_curve(problem, p), (sketched, begun)), key=lambda p: p.deviance)
 
 
-def _drop_idle_names(cases: Sequence[PreparedRecording], first: Structure, curve: Fit, names: Sequence[str]) -> Fit:
+def _drop_idle_names(problem: FitProblem, first: Structure, curve: Fit, names: Sequence[str]) -> Fit:
     """The model with a curve, less the names that do nothing beside it; what the first model has stays."""
     for effect in names:
         structure = curve.structure.without(effect, *curve.structure.brought_by(effect, first))
         values = preparation.complete_values(structure, curve.values)
         free = tuple(n for n in curve.free if n in values)
-        mine = preparation.with_internal_step(cases, structure)
-        less = optimizer.levenberg_marquardt(mine, structure, values, curve.process_noise, free)
+        less = optimizer.levenberg_marquardt(problem.at(curve.process_noise), structure, values, free)
         if not model_comparison.is_significant(less, curve):
             curve = less
     return curve
 
 
-def _passed_values(cases: Sequence[PreparedRecording], last: Fit, variable: str) -> FloatArray:
+def _passed_values(problem: FitProblem, last: Fit, variable: str) -> FloatArray:
     """Where the axis was, or how fast: values (200,) of the variable that are equally often passed."""
-    mine = preparation.with_internal_step(cases, last.structure)
-    moves = [residual_torque.missing_torque(c, last.structure, last.values).state(variable) for c in mine]
+    moves = [residual_torque.missing_torque(c, last.structure, last.values).state(variable) for c in problem.recordings]
     x = np.concatenate(moves)
     return np.asarray(np.quantile(x[np.isfinite(x)], np.linspace(0.005, 0.995, 200)))
 
 
-def _departure(cases: Sequence[PreparedRecording], last: Fit, curve: Fit, ids: Sequence[str], variable: str) -> float:
+def _departure(problem: FitProblem, last: Fit, curve: Fit, ids: Sequence[str], variable: str) -> float:
     """By what share of what the names do, along the recordings, a curve over the variable departs from them.
 
     A constant may be the dead-bands' as well, and a straight line over speed is viscous friction.
     """
-    x = _passed_values(cases, last, variable)
+    x = _passed_values(problem, last, variable)
     named = _effect_torques(ids, last, x, variable).sum(axis=0)
     rest = _effect_torques([f"unknown_{variable}"], curve, x, variable)[0] - named
     shared = np.vander(x, 1 if variable == "position" else 2)
@@ -119,20 +117,18 @@ def _departure(cases: Sequence[PreparedRecording], last: Fit, curve: Fit, ids: S
     return float(rest.std()) / max(float(named.std()), 1e-300)
 
 
-def substitute_curve(
-    cases: Sequence[PreparedRecording], first: Structure, last: Fit, variable: str
-) -> Substitution | None:
+def substitute_curve(problem: FitProblem, first: Structure, last: Fit, variable: str) -> Substitution | None:
     """A curve over the variable that earns its place in spite of what the last model names over it; None where it does
     not, or nothing is named."""
     ids = _named_over(first, last.structure, variable)
     if not ids:
         return None
-    curve = _fit_curve_instead(cases, last, ids, variable)
-    departs = _departure(cases, last, curve, ids, variable) >= thresholds.LAW_TOLERANCE
+    curve = _fit_curve_instead(problem, last, ids, variable)
+    departs = _departure(problem, last, curve, ids, variable) >= thresholds.LAW_TOLERANCE
     if not (
         departs
-        and selection_round.is_confirmed(cases, last, curve)
-        and cross_validation.gain_p_value(cases, last, curve) < thresholds.CURVE_MAX_P_VALUE
+        and selection_round.is_confirmed(problem, last, curve)
+        and cross_validation.gain_p_value(problem, last, curve) < thresholds.CURVE_MAX_P_VALUE
     ):
         return None
     says = (
@@ -168,23 +164,23 @@ def is_ripple(last: Fit, curve: Fit) -> bool:
     return abs(order / last.values["ripple_order"] - 1.0) < thresholds.LAW_TOLERANCE
 
 
-def substitute_presliding(cases: Sequence[PreparedRecording], first: Structure, last: Fit) -> Substitution | None:
+def substitute_presliding(problem: FitProblem, first: Structure, last: Fit) -> Substitution | None:
     """Friction that gives before it slides, in the place of all dry friction that the last model names; None where
     there is none, or the recording does not speak for it.
     """
     ids = tuple(e.id for e in last.structure.effects if e.slot == "grip" and e.id not in first)
     if not ids:
         return None
-    sketched = nonparametric.sketch_curve(cases, _without_effects(last, ids), nonparametric.CurveTerm("bend"))
-    bent = nonparametric.restart_curve_gap(cases, nonparametric.fit_curve(cases, sketched))
+    sketched = nonparametric.sketch_curve(problem, _without_effects(last, ids), nonparametric.CurveTerm("bend"))
+    bent = nonparametric.restart_curve_gap(problem, nonparametric.fit_curve(problem, sketched))
     # What one thing does about as well as two kinds of friction do is more likely to be that one.
     briefer = len(bent.structure.named) < len(last.structure.named)
     speaks = (
         model_comparison.criterion_difference_penalised(bent, last) < -thresholds.MIN_GAIN
         if briefer
-        else selection_round.is_confirmed(cases, last, bent)
+        else selection_round.is_confirmed(problem, last, bent)
     )
-    if not (speaks and is_plausible(cases, bent, last)):
+    if not (speaks and is_plausible(problem, bent, last)):
         return None
     better = model_comparison.gain(last, bent)
     much = f"better by {better:.0f} units of deviance, where {thresholds.MIN_GAIN:.0f} would do"
@@ -195,17 +191,17 @@ def substitute_presliding(cases: Sequence[PreparedRecording], first: Structure, 
     return Substitution(ids, bent, says)
 
 
-def substitute_gain_wave(cases: Sequence[PreparedRecording], first: Structure, last: Fit) -> Substitution | None:
+def substitute_gain_wave(problem: FitProblem, first: Structure, last: Fit) -> Substitution | None:
     """A motor whose gain goes with the angle in the place of an encoder off centre that the last model names: each by
     one wave a turn, so that the likelier is the better; None where there is none, or the gain is not likelier.
     """
     ids = tuple(i for i in ("encoder_eccentricity",) if i in last.structure and i not in first)
     if not ids:
         return None
-    sketched = nonparametric.sketch_curve(cases, _without_effects(last, ids), nonparametric.CurveTerm("gain"))
-    wave = nonparametric.fit_curve(cases, nonparametric.first_wave_only(sketched))
+    sketched = nonparametric.sketch_curve(problem, _without_effects(last, ids), nonparametric.CurveTerm("gain"))
+    wave = nonparametric.fit_curve(problem, nonparametric.first_wave_only(sketched))
     better = model_comparison.criterion_difference(wave, last)
-    if better < thresholds.MIN_GAIN or not is_plausible(cases, wave, last):
+    if better < thresholds.MIN_GAIN or not is_plausible(problem, wave, last):
         return None
     says = (
         f"{_titles(ids)} would fit in part, but a motor whose gain goes with the angle, which is more than a name of "
@@ -220,9 +216,9 @@ def _effect_torques(ids: Sequence[str], point: Fit, at: FloatArray, variable: st
     return np.array([equations.along(i, {variable: at}, point.values) for i in ids])
 
 
-def _remaining_stiffness(cases: Sequence[PreparedRecording], last: Fit, ids: Sequence[str]) -> float:
+def _remaining_stiffness(problem: FitProblem, last: Fit, ids: Sequence[str]) -> float:
     """What these torques leave of their stiffness where they cancel most, as a share of what the second largest has."""
-    moved = _passed_values(cases, last, "position")
+    moved = _passed_values(problem, last, "position")
     at = np.linspace(moved.min(), moved.max(), len(moved))
     stiff = np.diff(_effect_torques(ids, last, at), axis=1)
     both = stiff.sum(axis=0)
@@ -230,16 +226,16 @@ def _remaining_stiffness(cases: Sequence[PreparedRecording], last: Fit, ids: Seq
     return abs(least) / max(float(np.sort(np.abs(stiff).max(axis=1))[-2]), 1e-300)
 
 
-def substitute_cancelling(cases: Sequence[PreparedRecording], first: Structure, last: Fit) -> Substitution | None:
+def substitute_cancelling(problem: FitProblem, first: Structure, last: Fit) -> Substitution | None:
     """What the last model has beyond the first that is one curve in pieces; None where there is no such thing, or the
     names do more than a curve over the position."""
     ids = _named_over(first, last.structure, "position")
     if len(ids) < 2:
         return None
-    left = _remaining_stiffness(cases, last, ids)
+    left = _remaining_stiffness(problem, last, ids)
     if left > thresholds.MAX_CANCELLED_STIFFNESS:
         return None
-    curve = _fit_curve_instead(cases, last, ids, "position")
+    curve = _fit_curve_instead(problem, last, ids, "position")
     # The knots' price speaks for names, whatever they are: what counts is whether these fit better.
     more = (curve.deviance - last.deviance) / model_comparison.overdispersion([curve, last])
     says = (
@@ -250,15 +246,15 @@ def substitute_cancelling(cases: Sequence[PreparedRecording], first: Structure, 
     return None if more > thresholds.MIN_GAIN else Substitution(ids, curve, says)
 
 
-def best_substitution(cases: Sequence[PreparedRecording], first: Structure, last: Fit) -> Substitution | None:
+def best_substitution(problem: FitProblem, first: Structure, last: Fit) -> Substitution | None:
     """The last model with what has no name in the place of what it names, where the recording speaks for that."""
-    variables = [v for v in CURVE_SLOTS if not (cases[0].drive.speed and v == "position")]
-    pieces = substitute_cancelling(cases, first, last) if "position" in variables else None
-    curves = [substitute_curve(cases, first, last, v) for v in variables] if pieces is None else [pieces]
-    tried = each(lambda way: way(cases, first, last), (substitute_presliding, substitute_gain_wave))
+    variables = [v for v in CURVE_SLOTS if not (problem.recordings[0].drive.speed and v == "position")]
+    pieces = substitute_cancelling(problem, first, last) if "position" in variables else None
+    curves = [substitute_curve(problem, first, last, v) for v in variables] if pieces is None else [pieces]
+    tried = each(lambda way: way(problem, first, last), (substitute_presliding, substitute_gain_wave))
     found = [r for r in (*curves, *tried) if r is not None]
     best: Substitution | None = min(found, key=lambda r: r.curve.deviance, default=None)
     if best is None:
         return None
     others = [i for i in best.curve.structure.named if i in CANDIDATES and i not in first]
-    return replace(best, curve=_drop_idle_names(cases, first, best.curve, others))
+    return replace(best, curve=_drop_idle_names(problem, first, best.curve, others))

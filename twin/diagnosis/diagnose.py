@@ -33,6 +33,7 @@ from twin.errors import BadInput
 from twin.estimation import likelihood, local_optima, maximum_likelihood, multistart, optimizer, preparation
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.io.position_loop import own_loop
 from twin.io.recording import Recording, to_fit
 from twin.model.fitted_model import Model
@@ -50,8 +51,11 @@ def _fitness(chosen: Sequence[Trace], which: str, white: float) -> Fitness:
     return Fitness(value, percent, white)
 
 
-def _whiteness_p_value(cases: Sequence[PreparedRecording], point: Fit) -> float:
-    parts = [likelihood.innovations(c, point.structure, point.values, point.process_noise) for c in cases]
+def _whiteness_p_value(problem: FitProblem, point: Fit) -> float:
+    parts = [
+        likelihood.innovations(c, point.structure, point.values, point.process_noise)
+        for c in problem.stepped(point.structure)
+    ]
     return model_comparison.whiteness_p_value(
         np.concatenate([i.error / np.sqrt(i.variance * point.scale) for i in parts])
     )
@@ -151,16 +155,16 @@ def _best_curve(
             return first
         bases.append(replace(first, values={n: last.values.get(n, v) for n, v in first.values.items()}))
         left.append(after)
-    speed = found.cases[0].drive.speed
+    speed = found.problem.recordings[0].drive.speed
     # Several recordings of speed begin at angles that nobody knows.
-    several = speed and len(found.cases) > 1
+    several = speed and len(found.problem.recordings) > 1
     strange = [k for k in TERM_KINDS if several and "position" in EFFECTS[f"unknown_{k}"].depends_on]
     shown = [t for one in left for t in nonparametric.candidate_terms(one) if t.kind not in strange]
     always = [CurveTerm(k) for k in ALWAYS_TRIED if not (k == "position" and speed)]
     terms = dict.fromkeys((*shown, *always))
-    tried = each(lambda pair: nonparametric.sketch_curve(found.cases, *pair), itertools.product(bases, terms))
+    tried = each(lambda pair: nonparametric.sketch_curve(found.problem, *pair), itertools.product(bases, terms))
     fits = each(
-        lambda p: nonparametric.fit_curve(found.cases, p),
+        lambda p: nonparametric.fit_curve(found.problem, p),
         sorted(tried, key=lambda p: p.deviance)[: thresholds.MAX_CURVES],
     )
     # What the first model lacked may have led its gap and teeth far astray; what is far behind the names stays there.
@@ -170,14 +174,14 @@ def _best_curve(
         if model_comparison.gain(first, p) > 0.0
         and model_comparison.criterion_difference(last, p) < thresholds.MIN_GAIN
     ]
-    promising = [p for p in near if is_plausible(found.cases, p, first)]
+    promising = [p for p in near if is_plausible(found.problem, p, first)]
     if not promising:
         return first
     # A curve over time follows whatever happened once: of several, what comes again is the better one.
     chosen = promising[0]
     if len(promising) > 1:
-        chosen = min(promising, key=lambda p: cross_validation.gain_p_value(found.cases, first, p))
-    return nonparametric.restart_curve_gap(found.cases, chosen)
+        chosen = min(promising, key=lambda p: cross_validation.gain_p_value(found.problem, first, p))
+    return nonparametric.restart_curve_gap(found.problem, chosen)
 
 
 def _restart_from_curve(found: SearchResult, nameless: Fit) -> SearchResult:
@@ -191,7 +195,7 @@ def _restart_from_curve(found: SearchResult, nameless: Fit) -> SearchResult:
     # Which side of the gap a torque acts on decides how it is crossed: from the wrong one no slope leads to the other.
     sides = [begun, *({**begun, "shaft_share": side} for side in (0.0, 1.0) if "shaft_share" in last.free)]
     other = local_optima.best_refit(
-        found.cases, last.structure, sides, local_optima.held_values(last), last.process_noise
+        found.problem.holding(local_optima.held_values(last)).at(last.process_noise), last.structure, sides
     )
     best = min(last, other, key=lambda p: p.deviance)
     return found if best is last else forward_selection.with_last_model(found, best)
@@ -225,11 +229,11 @@ def _curve_replaces_names(
     if new and follows and left[1].size < thresholds.DRY_FRICTION_SHARE * left[0].size:
         return False
     goes = any(one.p_value < thresholds.DEPENDENCE_MAX_P_VALUE for one in left) and selection_round.is_confirmed(
-        found.cases, found.last, nameless
+        found.problem, found.last, nameless
     )
     if (
         not (goes and earns)
-        and cross_validation.gain_p_value(found.cases, found.last, nameless) > thresholds.CURVE_MAX_P_VALUE
+        and cross_validation.gain_p_value(found.problem, found.last, nameless) > thresholds.CURVE_MAX_P_VALUE
     ):
         return False
     return (
@@ -268,24 +272,22 @@ def _fit_names_beside_curve(found: SearchResult, nameless: Fit) -> Fit:
         return nameless
     new = [p for e in last.structure.effects if e not in first.structure.effects for p in e.parameters]
     nothing = {p.name: p.neutral for p in new if p.neutral is not None}
-    mine, kept = preparation.with_internal_step(found.cases, both), [n for n in last.free if n not in first.free]
+    kept = [n for n in last.free if n not in first.free]
     begun = preparation.complete_values(both, {**last.values, **nameless.values, **nothing})
     return optimizer.levenberg_marquardt(
-        mine, both, begun, nameless.process_noise, tuple(dict.fromkeys((*nameless.free, *kept)))
+        found.problem.at(nameless.process_noise), both, begun, tuple(dict.fromkeys((*nameless.free, *kept)))
     )
 
 
-def _fit_with_longest_memory(found: SearchResult) -> tuple[list[PreparedRecording], Fit]:
-    """The last model with the longest memory that it bears, and the cases as they are judged by what it foresees: by a
+def _fit_with_longest_memory(found: SearchResult) -> tuple[FitProblem, Fit]:
+    """The last model with the longest memory that it bears, and the problem as it is judged by what it foresees: by a
     filter that forgets no faster, or the slow torques that it was chosen by would be nothing to it.
     """
-    sharp = local_optima.with_longer_memory(found.cases, found.last)
-    return multistart.refit_with_contact_mask(
-        preparation.with_internal_step(found.cases, sharp.structure), sharp, most=sharp.process_noise
-    )
+    sharp = local_optima.with_longer_memory(found.problem, found.last)
+    return multistart.refit_with_contact_mask(found.problem, sharp, most=sharp.process_noise)
 
 
-def _idle_names(cases: Sequence[PreparedRecording], sharp: Fit, first: Structure) -> list[str]:
+def _idle_names(problem: FitProblem, sharp: Fit, first: Structure) -> list[str]:
     """The names beyond the first model that do nothing: without their size, and all else as it is, `sharp` is as
     likely.
     """
@@ -295,7 +297,7 @@ def _idle_names(cases: Sequence[PreparedRecording], sharp: Fit, first: Structure
         if size is None or size.neutral is None:
             continue
         values = {**sharp.values, size.name: size.neutral}
-        without = likelihood.evaluate(cases, sharp.structure, values, sharp.process_noise)
+        without = likelihood.evaluate(problem.at(sharp.process_noise), sharp.structure, values)
         if without.deviance - sharp.deviance < thresholds.PENALTY_PER_PARAMETER:
             out.append(page.id)
     return out
@@ -309,7 +311,7 @@ def _name_p_values(found: SearchResult, first: Structure) -> dict[str, float]:
     for effect in (i for i in found.last.structure.named if i not in first):
         without = [q for q in found.smaller_models if effect not in q.structure]
         if without:
-            gains = cross_validation.block_gains(found.cases, min(without, key=lambda q: q.deviance), found.last)
+            gains = cross_validation.block_gains(found.problem, min(without, key=lambda q: q.deviance), found.last)
             # A few seconds tell nothing either way.
             if np.count_nonzero(gains) >= thresholds.MIN_BLOCKS:
                 out[effect] = cross_validation.p_value_of_gains(gains)
@@ -318,7 +320,7 @@ def _name_p_values(found: SearchResult, first: Structure) -> dict[str, float]:
 
 def _drop_unpredictive_names(
     found: SearchResult, first: Structure
-) -> tuple[SearchResult, tuple[list[PreparedRecording], Fit], dict[str, float]]:
+) -> tuple[SearchResult, tuple[FitProblem, Fit], dict[str, float]]:
     """The search without the names of its last model that foretell nothing, and those that a filter makes nothing of
     which remembers for as long as that model bears: what is there acts for longer than a bounce. What that filter
     foresees, and by what chance the names that last would foretell as well were there nothing to them.
@@ -338,7 +340,7 @@ def _drop_unpredictive_names(
 
 def _next_experiment(found: SearchResult) -> Experiment:
     """The input that would tell the closest rivals apart, or fix what is known worst."""
-    cases = preparation.with_internal_step(found.cases, found.last.structure)
+    problem = found.problem.stepped(found.last.structure)
     close = [
         w.point
         for w in found.alternatives
@@ -346,7 +348,7 @@ def _next_experiment(found: SearchResult) -> Experiment:
     ]
     near = sorted(close, key=lambda p: model_comparison.criterion_difference_penalised(p, found.last))[:1]
     try:
-        return experiment_design.design_for_discrimination([found.last, *near], cases)
+        return experiment_design.design_for_discrimination([found.last, *near], problem)
     except (BadInput, np.linalg.LinAlgError) as error:
         return Experiment(why=f"no experiment was designed: {error}")
 
@@ -354,7 +356,8 @@ def _next_experiment(found: SearchResult) -> Experiment:
 def _worst_recording(found: SearchResult) -> tuple[PreparedRecording, nonparametric.RemainingDependence]:
     """The recording in which the first model lacks most, the longest if it lacks nothing, and what it lacks there."""
     judged = [
-        (c, nonparametric.remaining_dependence(c, found.first.structure, found.first.values)) for c in found.cases
+        (c, nonparametric.remaining_dependence(c, found.first.structure, found.first.values))
+        for c in found.problem.recordings
     ]
     return max(
         judged, key=lambda j: (j[1].size if nonparametric.is_dependence_left(j[1]) else 0.0, float(j[0].drive.time[-1]))
@@ -363,7 +366,7 @@ def _worst_recording(found: SearchResult) -> tuple[PreparedRecording, nonparamet
 
 def _other_recordings_left(found: SearchResult, telling: PreparedRecording) -> list[str]:
     """The recordings beside the telling one in which the last model lacks something that goes with something."""
-    last, others = found.last, [c for c in found.cases if c is not telling]
+    last, others = found.last, [c for c in found.problem.recordings if c is not telling]
     left = [(c, nonparametric.remaining_dependence(c, last.structure, last.values)) for c in others]
     return [c.recording.name for c, one in left if nonparametric.is_dependence_left(one)]
 
@@ -380,7 +383,7 @@ def _split_and_search(
     def looked(where: tuple[float, float]) -> tuple[list[Recording], list[RecordingPart], SearchResult, list[str]]:
         train, held_out = holdout.split(recordings, where)
         found = forward_selection.search(train, first, held, candidates, progress)
-        return train, held_out, found, holdout.physics_only_in_holdout(found.cases, found.last, held_out)
+        return train, held_out, found, holdout.physics_only_in_holdout(found.problem, found.last, held_out)
 
     train, held_out, found, shown = looked(holdout.END_PART)
     said = []
@@ -421,7 +424,7 @@ def diagnose(
     lap("search")
     case, lacking = _worst_recording(found)
     # By the name that the user knows: what was fitted may have been cut where the rest is held out.
-    telling = to_fit(recordings)[list(found.cases).index(case)].name
+    telling = to_fit(recordings)[list(found.problem.recordings).index(case)].name
     left = [lacking, nonparametric.remaining_dependence(case, found.last.structure, found.last.values)]
     tell("trying shapes without a name", 0.85)
     nameless = _best_curve(found, left[0], left[1], chances)
@@ -431,7 +434,7 @@ def diagnose(
     named = bool(set(found.last.structure.named) - set(first.named))
     if _curve_replaces_names(found, nameless, left):
         found, verdict = _with_curve(found, nameless), "unexplained"
-    elif drawn := curve_substitution.best_substitution(found.cases, first, found.last):
+    elif drawn := curve_substitution.best_substitution(found.problem, first, found.last):
         said.append(drawn.says)
         found = replace(found, last=drawn.curve, smaller_models=(), alternatives=())
         verdict = "partly_explained" if set(found.last.structure.named) - {*first.named, *UNKNOWN} else "unexplained"
@@ -445,25 +448,19 @@ def diagnose(
     tell("fitting both models to the end", 0.87)
     judged, last_point = foreseen if found.last is seen else _fit_with_longest_memory(found)
     # Of a model without the right physics nobody can say what it would have to foresee.
-    first_point = local_optima.with_longer_memory(found.cases, found.first)
-    before = after = maximum_likelihood.to_model(judged, last_point, train, held)
+    first_point = local_optima.with_longer_memory(found.problem, found.first)
+    before = after = maximum_likelihood.to_model(judged, last_point, train)
     if first_point.structure == last_point.structure:
         first_point = last_point
     else:
-        before = maximum_likelihood.to_model(found.cases, first_point, train, held)
-    missing = [
-        residual_torque.missing_torque(preparation.with_internal_step([case], p.structure)[0], p.structure, p.values)
-        for p in (first_point, last_point)
-    ]
+        before = maximum_likelihood.to_model(found.problem, first_point, train)
+    missing = [residual_torque.missing_torque(case, p.structure, p.values) for p in (first_point, last_point)]
     shapes = [tuple(residual_torque.torque_shapes(m)) for m in missing]
     lap("locate")
     tell("checking on held-out data through the FMU", 0.9)
     runs = [*(("train", RecordingPart(r)) for r in train), *(("holdout", p) for p in held_out)]
     shown = holdout.traces(before, after, runs, closed)
-    white = [
-        _whiteness_p_value(preparation.with_internal_step(found.cases, p.structure), p)
-        for p in (first_point, last_point)
-    ]
+    white = [_whiteness_p_value(found.problem, p) for p in (first_point, last_point)]
     fit = {
         role: {
             when: _fitness([t for t in shown if t.role == role], when, white[i] if role == "train" else math.nan)
@@ -516,10 +513,10 @@ def _remarks(found: SearchResult, fit: Mapping[str, Mapping[str, Fitness]]) -> l
     said += [
         f"{c.recording.name}: in {100.0 * c.rattle_mask.mean():.0f} % of what was fitted the input turns so often that "
         "motor and link come to no rest against each other: that is followed, but nothing is concluded from it."
-        for c in found.cases
+        for c in found.problem.recordings
         if c.rattle_mask is not None and c.rattle_mask.mean() >= 0.005
     ]
-    if maximum_likelihood.roughness(found.cases, found.last) > thresholds.MIN_GAIN * model_comparison.overdispersion(
+    if maximum_likelihood.roughness(found.problem, found.last) > thresholds.MIN_GAIN * model_comparison.overdispersion(
         [found.last]
     ):
         said.append(

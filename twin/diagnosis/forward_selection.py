@@ -23,7 +23,7 @@ from twin.estimation import (
     preparation,
 )
 from twin.estimation.fit import Fit
-from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 from twin.parallel import each
@@ -49,7 +49,7 @@ class SearchResult:
     first: Fit
     last: Fit
     rounds: tuple[Round, ...]
-    cases: tuple[PreparedRecording, ...]
+    problem: FitProblem
     smaller_models: tuple[Fit, ...] = ()
     alternatives: tuple[Alternative, ...] = ()
 
@@ -65,36 +65,34 @@ def _smaller_structures(structure: Structure, keep: Structure) -> list[Structure
     return out
 
 
-def _refits(
-    cases: Sequence[PreparedRecording], point: Fit, held: Mapping[str, float], structures: Sequence[Structure]
-) -> list[Fit]:
-    return each(lambda s: local_optima.refit(cases, s, point.values, held, point.process_noise), structures)
+def _refits(problem: FitProblem, point: Fit, structures: Sequence[Structure]) -> list[Fit]:
+    return each(lambda s: local_optima.refit(problem.at(point.process_noise), s, point.values), structures)
 
 
-def _best_smaller(cases: Sequence[PreparedRecording], point: Fit, lesser: Sequence[Fit], begun: Fit) -> Fit:
+def _best_smaller(problem: FitProblem, point: Fit, lesser: Sequence[Fit], begun: Fit) -> Fit:
     """The best of the lesser fits whose lack does not matter, or the point itself.
 
     What a law misses of what it stands for must not pass for another effect.
     """
     missed = thresholds.LAW_TOLERANCE**2 * max(begun.deviance - point.deviance, 0.0)
     fair = [
-        q for q in lesser if is_plausible(cases, q, point) and not model_comparison.is_significant(q, point, missed)
+        q for q in lesser if is_plausible(problem, q, point) and not model_comparison.is_significant(q, point, missed)
     ]
     return min(
         fair, key=lambda q: model_comparison.criterion(q, model_comparison.overdispersion([point])), default=point
     )
 
 
-def _restart(cases: Sequence[PreparedRecording], point: Fit, held: Mapping[str, float]) -> Fit:
+def _restart(problem: FitProblem, point: Fit) -> Fit:
     """The point at the noise density that it asks for, gap and teeth looked for anew; as it was where that would bend
     an effect into something else.
     """
-    moved = local_optima.restart_gap(cases, local_optima.refit_at_own_noise(cases, point, held), held)
-    return moved if is_plausible(cases, moved, point) else point
+    moved = local_optima.restart_gap(problem, local_optima.refit_at_own_noise(problem, point))
+    return moved if is_plausible(problem, moved, point) else point
 
 
 def _add_effects(
-    cases: Sequence[PreparedRecording], best: Fit, candidates: Sequence[str], held: Mapping[str, float], tell: Progress,
+    problem: FitProblem, best: Fit, candidates: Sequence[str], tell: Progress,
     most: int = thresholds.MAX_EFFECTS,
 ) -> tuple[Fit, list[Round]]:  # fmt: skip
     """The model with up to so many effects that earn their place, one at a time; the rounds, of which the last may have
@@ -104,14 +102,14 @@ def _add_effects(
     known: list[Hypothesis] = []
     while len(rounds) < most and (open_ := [c for c in candidates if c not in best.structure]):
         tell(f"round {len(rounds) + 1}: trying {len(open_)} effects", 0.05 + 0.2 * len(rounds))
-        best = _restart(cases, best, held) if rounds else best
-        usual = selection_round.run_round(cases, best, known, open_, held)
-        this = selection_round.retry_with_long_memory(cases, usual, open_, held)
+        best = _restart(problem, best) if rounds else best
+        usual = selection_round.run_round(problem, best, known, open_)
+        this = selection_round.retry_with_long_memory(problem, usual, open_)
         if not this.won:
             best = this.before
             rounds.append(this)
             break
-        winner, best = this.rivals[0].point, _plain_winner(cases, this, held)
+        winner, best = this.rivals[0].point, _plain_winner(problem, this)
         known = [] if best is winner else [this.rivals[0]]
         rounds.append(_with_better_fit(this, best))
         if this is not usual:
@@ -121,32 +119,32 @@ def _add_effects(
 
 
 def _prune(
-    cases: Sequence[PreparedRecording], best: Fit, begun: Fit, held: Mapping[str, float]
+    problem: FitProblem, best: Fit, begun: Fit
 ) -> tuple[Fit, list[Fit]]:  # fmt: skip
     """The model without effects whose lack does not matter, and the smaller ones that it is held against."""
     lesser: list[Fit] = []
     while fewer := _smaller_structures(best.structure, begun.structure):
-        lesser = [*_refits(cases, best, held, fewer), begun]
-        less = _best_smaller(cases, best, lesser, begun)
+        lesser = [*_refits(problem, best, fewer), begun]
+        less = _best_smaller(problem, best, lesser, begun)
         if less is best:
             break
         best = less
     return best, lesser
 
 
-def _without_unmet_stops(cases: Sequence[PreparedRecording], last: Fit) -> Fit:
+def _without_unmet_stops(problem: FitProblem, last: Fit) -> Fit:
     """The model with a stop only on the side where one is met.
 
     Where nothing shows a stop it may stand at the furthest reading as well as anywhere beyond, and would be met by the
     next recording that goes further.
     """
-    mine, fits = preparation.with_internal_step(cases, last.structure), [last]
+    fits = [last]
     for stop, far in NOWHERE.items():
         if stop in last.free:
             free = tuple(n for n in last.free if n != stop)
             fits.append(
                 optimizer.levenberg_marquardt(
-                    mine, last.structure, {**last.values, stop: far}, last.process_noise, free
+                    problem.at(last.process_noise), last.structure, {**last.values, stop: far}, free
                 )
             )
     return min(fits, key=lambda p: model_comparison.criterion(p, model_comparison.overdispersion([last])))
@@ -162,53 +160,52 @@ def search(
     """Add effects one at a time for as long as each earns its place, and look closer at what came of it."""
     tell = progress or (lambda sentence, share: None)
     tell("fitting the first model", 0.0)
-    cases, rough = multistart.coarse_starts(recordings, first, held)
+    problem, rough = multistart.coarse_starts(recordings, first, held)
     polished, fine = multistart.leave_local_optima(
-        cases, multistart.fit_from_starts(cases, preparation.with_tooth_compliance(first), rough, held)
+        problem, multistart.fit_from_starts(problem, preparation.with_tooth_compliance(first), rough)
     )
     # What a model without the right physics cannot foresee may be what is looked for.
-    cases = contact_masking.without_contact_mask(polished)
-    best = local_optima.refit(cases, first, fine.values, held, local_optima.judging_process_noise(cases, fine))
-    candidates = screening.testable_candidates(cases, candidates)
-    found = _search_from(cases, best, (), first, candidates, held, tell)
-    for this in _narrow_rounds(cases, found, best.process_noise):
+    problem = contact_masking.without_contact_mask(polished)
+    best = local_optima.refit(problem.at(local_optima.judging_process_noise(problem, fine)), first, fine.values)
+    candidates = screening.testable_candidates(problem, candidates)
+    found = _search_from(problem, best, (), first, candidates, tell)
+    for this in _narrow_rounds(problem, found, best.process_noise):
         tell(f"beginning anew with {EFFECTS[this.rivals[0].added[0]].title}", 0.7)
-        start = _plain_winner(cases, this, held)
+        start = _plain_winner(problem, this)
         other = _search_from(
-            cases, start, (_with_better_fit(this, start),), first, candidates, held, lambda said, share: None
+            problem, start, (_with_better_fit(this, start),), first, candidates, lambda said, share: None
         )
-        found = _better_search(cases, found, other, held)
+        found = _better_search(problem, found, other)
         if found.last is other.last:
             break
-    best, rounds = _without_unmet_stops(cases, found.last), found.rounds
-    wider = _containing_alternatives(cases, best, first, candidates, held, rounds)
-    best, swaps = _prefer_containing(cases, best, found.alternatives, wider, held)
-    swaps = [*swaps, *_offset_for_dead_bands(cases, best, candidates)]
+    best, rounds = _without_unmet_stops(problem, found.last), found.rounds
+    wider = _containing_alternatives(problem, best, first, candidates, rounds)
+    best, swaps = _prefer_containing(problem, best, found.alternatives, wider)
+    swaps = [*swaps, *_offset_for_dead_bands(problem, best, candidates)]
     tell("looking closer", 0.8)
-    return refine_with_short_memory(replace(found, last=best, alternatives=tuple(swaps)), held, candidates)
+    return refine_with_short_memory(replace(found, last=best, alternatives=tuple(swaps)), candidates)
 
 
 def _search_from(
-    cases: Sequence[PreparedRecording], best: Fit, rounds: Sequence[Round], first: Structure, candidates: Sequence[str],
-    held: Mapping[str, float], tell: Progress,
-) -> SearchResult:  # fmt: skip
+    problem: FitProblem, best: Fit, rounds: Sequence[Round], first: Structure, candidates: Sequence[str], tell: Progress
+) -> SearchResult:
     """The search that grows from a model which these rounds led to."""
     rounds, room = list(rounds), thresholds.MAX_EFFECTS - len(rounds)
     for _ in range(thresholds.MAX_REPLACEMENTS):
-        grown, more = _add_effects(cases, best, candidates, held, tell, room)
+        grown, more = _add_effects(problem, best, candidates, tell, room)
         rounds += more
         # What the last model is held against is judged as it is.
         start = rounds[0].before if rounds else grown
-        begun = local_optima.refit(cases, first, start.values, held, grown.process_noise)
-        best, lesser, swaps = _prune_and_exchange(cases, grown, begun, rounds, held)
+        begun = local_optima.refit(problem.at(grown.process_noise), first, start.values)
+        best, lesser, swaps = _prune_and_exchange(problem, grown, begun, rounds)
         begun = _best_of_structure(lesser, begun)
         # What was ousted, or did not last, may have stood before what would; but not where it did more than all others.
         if best.structure in (grown.structure, *(this.before.structure for this in rounds)):
             break
-    return SearchResult(begun, best, tuple(rounds), tuple(cases), tuple(lesser), tuple(swaps))
+    return SearchResult(begun, best, tuple(rounds), problem, tuple(lesser), tuple(swaps))
 
 
-def _narrow_rounds(cases: Sequence[PreparedRecording], found: SearchResult, process_noise: float) -> list[Round]:
+def _narrow_rounds(problem: FitProblem, found: SearchResult, process_noise: float) -> list[Round]:
     """The first round, won by a rival instead: by each that shows, had earned about as much, or more, in units of its
     own, and neither contains the winner nor is contained in it.
 
@@ -230,13 +227,11 @@ def _narrow_rounds(cases: Sequence[PreparedRecording], found: SearchResult, proc
     ]
     gains = {h.added[0]: model_comparison.gain(this.before, h.point) for h in apart}
     close = sorted((h for h in apart if gains[h.added[0]] > least), key=lambda h: -gains[h.added[0]])
-    shown = [h for h in close[: thresholds.MAX_RESTARTS] if selection_round.is_confirmed(cases, this.before, h.point)]
+    shown = [h for h in close[: thresholds.MAX_RESTARTS] if selection_round.is_confirmed(problem, this.before, h.point)]
     return [replace(this, rivals=(h, *(o for o in this.rivals if o is not h))) for h in shown]
 
 
-def _better_search(
-    cases: Sequence[PreparedRecording], one: SearchResult, other: SearchResult, held: Mapping[str, float]
-) -> SearchResult:
+def _better_search(problem: FitProblem, one: SearchResult, other: SearchResult) -> SearchResult:
     """The search whose end the recordings speak for, both judged at one noise density; where both end in the same but
     for one effect each, with the other's as what could stand in its place.
     """
@@ -244,7 +239,7 @@ def _better_search(
 
     def judged(end: Fit) -> Fit:
         same = end.process_noise == process_noise
-        return end if same else local_optima.refit(cases, end.structure, end.values, held, process_noise)
+        return end if same else local_optima.refit(problem.at(process_noise), end.structure, end.values)
 
     ends = [(one, judged(one.last)), (other, judged(other.last))]
     if model_comparison.criterion_difference_penalised(ends[1][1], ends[0][1]) < 0.0:
@@ -265,18 +260,18 @@ def _best_of_structure(lesser: Sequence[Fit], begun: Fit) -> Fit:
 
 
 def _prune_and_exchange(
-    cases: Sequence[PreparedRecording], grown: Fit, begun: Fit, rounds: Sequence[Round], held: Mapping[str, float]
+    problem: FitProblem, grown: Fit, begun: Fit, rounds: Sequence[Round]
 ) -> tuple[Fit, list[Fit], list[Alternative]]:  # fmt: skip
     """The model that growing from another ended at, without effects whose lack does not matter and with a rival in the
     place of one if that now fits better; smaller models that it is held against; what could stand in an effect's place.
     """
-    best, lesser = _prune(cases, grown, begun, held)
-    swaps = _alternatives(cases, best, begun.structure, lesser, rounds, held)
+    best, lesser = _prune(problem, grown, begun)
+    swaps = _alternatives(problem, best, begun.structure, lesser, rounds)
     better = min(swaps, key=lambda w: model_comparison.criterion_difference_penalised(w.point, best), default=None)
     if better is None or model_comparison.criterion_difference_penalised(better.point, best) >= 0.0:
         return best, lesser, swaps
     # The rival had lost beside what was still missing then; now it is the one that fits, and more may show.
-    last, lesser = _prune(cases, better.point, _best_of_structure(lesser, begun), held)
+    last, lesser = _prune(problem, better.point, _best_of_structure(lesser, begun))
     return last, lesser, [Alternative(better.rival, better.effect, best)] if better.rival in last.structure else []
 
 
@@ -331,8 +326,7 @@ def probability_shares(found: SearchResult, effect: str) -> tuple[float, dict[st
 
 
 def _alternatives(
-    cases: Sequence[PreparedRecording], last: Fit, first: Structure, lesser: Sequence[Fit], rounds: Sequence[Round],
-    held: Mapping[str, float],
+    problem: FitProblem, last: Fit, first: Structure, lesser: Sequence[Fit], rounds: Sequence[Round],
 ) -> list[Alternative]:  # fmt: skip
     """The last model with each effect exchanged for every rival that had come close to it; one that would do better has
     to show in its place.
@@ -350,14 +344,16 @@ def _alternatives(
                 # What the effect had brought along may be there without it.
                 others = dict.fromkeys(last.structure.without(effect, *i).with_(*h.added) for i in ((), brought))
                 begun = itertools.product(others, starts)
-                tried = each(lambda b: local_optima.refit(cases, b[0], b[1], held, last.process_noise), begun)
+                tried = each(lambda b: local_optima.refit(problem.at(last.process_noise), b[0], b[1]), begun)
                 point = local_optima.refit_through_best_noise(
-                    cases, min(tried, key=lambda p: model_comparison.criterion_difference_penalised(p, last)), held
+                    problem, min(tried, key=lambda p: model_comparison.criterion_difference_penalised(p, last))
                 )
                 # What stays behind takes no place, and needs no test: that something is there is known from the effect.
                 without = min((q for q in lesser if effect not in q.structure), key=lambda q: q.deviance)
                 stays = model_comparison.criterion_difference_penalised(point, last) >= 0.0
-                if is_plausible(cases, point, last) and (stays or selection_round.is_confirmed(cases, without, point)):
+                if is_plausible(problem, point, last) and (
+                    stays or selection_round.is_confirmed(problem, without, point)
+                ):
                     out.append(Alternative(effect, h.added[0], point))
     return out
 
@@ -372,11 +368,10 @@ def _overtaking_fits(rounds: Sequence[Round], effect: str, other: str) -> list[F
 
 
 def _containing_alternatives(
-    cases: Sequence[PreparedRecording],
+    problem: FitProblem,
     last: Fit,
     first: Structure,
     candidates: Sequence[str],
-    held: Mapping[str, float],
     rounds: Sequence[Round] = (),
 ) -> list[Alternative]:
     """The last model with what contains one of its effects, and is as large, where that fits about as well.
@@ -393,34 +388,30 @@ def _containing_alternatives(
         own, more = EFFECTS[effect].screen, EFFECTS[other].screen
         assert own is not None and more is not None
         longer, size = last.structure.with_(other), last.values[own.gain]
-        mine, known = (
-            preparation.with_internal_step(cases, longer),
-            preparation.complete_values(longer, last.values) | dict(held),
-        )
-        starts = [known | {more.gain: s * size} for s in (1.0, -1.0) if more.gain not in held]
+        known = preparation.complete_values(longer, last.values) | dict(problem.held)
+        starts = [known | {more.gain: s * size} for s in (1.0, -1.0) if more.gain not in problem.held]
         allowed = filter(parameter_bounds.within_bounds, starts)
-        climb = partial(optimizer.levenberg_marquardt, mine, longer, process_noise=last.process_noise, free=last.free)
+        climb = partial(optimizer.levenberg_marquardt, problem.at(last.process_noise), longer, free=last.free)
         fits = each(climb, allowed)
         for h in _overtaking_fits(rounds, effect, other):
             share = h.values[more.gain] / max(h.values[own.gain], 1e-300)
             begins = ({**last.values, more.gain: share * size}, {**last.values, **h.values})
-            fits.append(local_optima.best_refit(cases, longer, begins, held, last.process_noise))
+            fits.append(local_optima.best_refit(problem.at(last.process_noise), longer, begins))
         found = min(fits, key=lambda p: p.deviance, default=None)
         if (
             found is not None
             and model_comparison.criterion_difference(last, found) < thresholds.UNDECIDED_MARGIN
-            and is_plausible(cases, found, last)
+            and is_plausible(problem, found, last)
         ):
             out.append(Alternative(effect, other, found))
     return out
 
 
 def _prefer_containing(
-    cases: Sequence[PreparedRecording],
+    problem: FitProblem,
     last: Fit,
     swaps: Sequence[Alternative],
     wider: Sequence[Alternative],
-    held: Mapping[str, float],
 ) -> tuple[Fit, list[Alternative]]:
     """The last model, or the likeliest that contains one of its effects if that is worth its parameters; and what
     could as well stand in the place of what is named then.
@@ -428,16 +419,14 @@ def _prefer_containing(
     likeliest = max(wider, key=lambda w: model_comparison.criterion_difference(w.point, last), default=None)
     if likeliest is not None:
         found = likeliest.point
-        freed = local_optima.refit(cases, found.structure, found.values, held, last.process_noise)
+        freed = local_optima.refit(problem.at(last.process_noise), found.structure, found.values)
         if model_comparison.criterion_difference(freed, last) > 0.0:
             others = [w for w in swaps if w.effect in freed.structure.named]
             return freed, [*others, Alternative(likeliest.rival, likeliest.effect, last)]
     return last, [*swaps, *wider]
 
 
-def _offset_for_dead_bands(
-    cases: Sequence[PreparedRecording], last: Fit, candidates: Sequence[str]
-) -> list[Alternative]:
+def _offset_for_dead_bands(problem: FitProblem, last: Fit, candidates: Sequence[str]) -> list[Alternative]:
     """The last model with dead-bands that are equal and a constant torque in the place of what they differ by, where
     that fits about as well: as long as the drive pushes, the torque only shifts both.
     """
@@ -452,14 +441,13 @@ def _offset_for_dead_bands(
     ):
         return []
     longer, equal = last.structure.with_("constant_offset"), torque_regression.equal_dead_bands(last.values)
-    mine, begun = (
-        preparation.with_internal_step(cases, longer),
-        preparation.complete_values(longer, last.values | equal),
-    )
+    begun = preparation.complete_values(longer, last.values | equal)
     rows = screening.with_gap_sides([equal], last.structure, last.values, "constant_offset")
     free = (*last.free, *(n for n in rows[0] if n not in equal))
     # The torque is held where it levels the dead-bands; they stay about equal unless something else makes up for it.
-    fits = each(lambda row: optimizer.levenberg_marquardt(mine, longer, begun | row, last.process_noise, free), rows)
+    fits = each(
+        lambda row: optimizer.levenberg_marquardt(problem.at(last.process_noise), longer, begun | row, free), rows
+    )
     found = min(fits, key=lambda p: p.deviance)
     level = abs(found.values[sides[1]] - found.values[sides[0]]) < 0.5 * abs(differ)
     stands = level and model_comparison.criterion_difference(last, found) < thresholds.UNDECIDED_MARGIN
@@ -475,7 +463,7 @@ def _with_better_fit(this: Round, found: Fit) -> Round:
     return replace(this, rivals=tuple(rivals))
 
 
-def _plain_winner(cases: Sequence[PreparedRecording], this: Round, held: Mapping[str, float]) -> Fit:
+def _plain_winner(problem: FitProblem, this: Round) -> Fit:
     """The winner, or what it brought along alone where that earns a place by itself.
 
     What a specialised friction adds to plain friction then competes with everything else that may be beside it.
@@ -484,68 +472,65 @@ def _plain_winner(cases: Sequence[PreparedRecording], this: Round, held: Mapping
     kept = this.before.structure.with_(*EFFECTS[winner.added[0]].includes)
     if kept.named == this.before.structure.named:
         return winner.point
-    plain = _refits(cases, winner.point, held, [kept])[0]
+    plain = _refits(problem, winner.point, [kept])[0]
     return plain if model_comparison.is_significant(this.before, plain) else winner.point
 
 
-def _fit_at_best_noise(cases: Sequence[PreparedRecording], point: Fit) -> tuple[list[PreparedRecording], Fit]:
-    """The maximum near the point at the noise density that the recording asks for, and the cases as they are judged by
-    what the model foresees there.
+def _fit_at_best_noise(problem: FitProblem, point: Fit) -> tuple[FitProblem, Fit]:
+    """The problem, judged only at contacts that the model foresees, and the maximum near the point at the most likely
+    process noise.
     """
-    mine = preparation.with_internal_step(cases, point.structure)
-    found = optimizer.fit_with_process_noise(mine, point.structure, point.values, point.free, point.process_noise)
+    found = optimizer.fit_with_process_noise(problem.at(point.process_noise), point.structure, point.values, point.free)
     for _ in range(thresholds.MAX_MASK_UPDATES):
-        mine, found = multistart.refit_with_contact_mask(mine, found)
-    return mine, found
+        problem, found = multistart.refit_with_contact_mask(problem, found)
+    return problem, found
 
 
 def _add_with_short_memory(
-    cases: list[PreparedRecording], best: Fit, most: int, candidates: Sequence[str], held: Mapping[str, float]
-) -> tuple[list[PreparedRecording], Fit, list[Round]]:  # fmt: skip
+    problem: FitProblem, best: Fit, most: int, candidates: Sequence[str]
+) -> tuple[FitProblem, Fit, list[Round]]:  # fmt: skip
     """The model with up to so many more effects, each judged as what was found before it asks for; the rounds won."""
     rounds: list[Round] = []
     while len(rounds) < most and (open_ := [c for c in candidates if c not in best.structure]):
-        seen = selection_round.screen_candidates(cases, best, open_)
+        seen = selection_round.screen_candidates(problem, best, open_)
         if not any(
             model_comparison.gain(best, h.point) > thresholds.PROMISING_SHARE * thresholds.MIN_GAIN_AT_OTHER_MEMORY
             for h in seen
         ):
             break
-        this = selection_round.run_round(cases, best, seen[: thresholds.MAX_FITTED], open_, held)
+        this = selection_round.run_round(problem, best, seen[: thresholds.MAX_FITTED], open_)
         if (
             not this.won
             or model_comparison.gain(this.before, this.rivals[0].point) < thresholds.MIN_GAIN_AT_OTHER_MEMORY
         ):
             break
         rounds.append(this)
-        cases, best = _fit_at_best_noise(cases, _plain_winner(cases, this, held))
-    return cases, best, rounds
+        problem, best = _fit_at_best_noise(problem, _plain_winner(problem, this))
+    return problem, best, rounds
 
 
 def _add_with_usual_memory(
     found: SearchResult,
-    cases: list[PreparedRecording],
+    problem: FitProblem,
     best: Fit,
     most: int,
     candidates: Sequence[str],
-    held: Mapping[str, float],
-) -> tuple[list[PreparedRecording], Fit, list[Round]]:
+) -> tuple[FitProblem, Fit, list[Round]]:
     """The model with up to so many more effects that the usual filter sees now, judged as it asks for; the rounds won.
 
     What is faint to the usual filter may be so because that had lost its way for lack of it, and then missed more.
     """
-    settled = local_optima.refit(found.cases, best.structure, best.values, held, found.last.process_noise)
-    usual = _restart(found.cases, settled, held)
-    grown, rounds = _add_effects(found.cases, usual, candidates, held, lambda sentence, share: None, most)
+    settled = local_optima.refit(found.problem.at(found.last.process_noise), best.structure, best.values)
+    usual = _restart(found.problem, settled)
+    grown, rounds = _add_effects(found.problem, usual, candidates, lambda sentence, share: None, most)
     won = [this for this in rounds if this.won]
-    return (*_fit_at_best_noise(found.cases, grown), won) if won else (cases, best, [])
+    return (*_fit_at_best_noise(found.problem, grown), won) if won else (problem, best, [])
 
 
 def _refit_alternatives(
-    cases: Sequence[PreparedRecording],
+    problem: FitProblem,
     last: Fit,
     swaps: Sequence[Alternative],
-    held: Mapping[str, float],
     more: Sequence[str] = (),
     fewer: Sequence[str] = (),
 ) -> list[Alternative]:
@@ -555,19 +540,19 @@ def _refit_alternatives(
         if w.rival in last.structure or w.effect not in last.structure:
             continue
         if w.effect == "dead_band":
-            out += _offset_for_dead_bands(cases, last, [w.rival])
+            out += _offset_for_dead_bands(problem, last, [w.rival])
         else:
             structure = w.point.structure.with_(*more).without(*fewer)
             starts = ({**last.values, **w.point.values}, {**w.point.values, **last.values})
             out.append(
                 Alternative(
-                    w.effect, w.rival, local_optima.best_refit(cases, structure, starts, held, last.process_noise)
+                    w.effect, w.rival, local_optima.best_refit(problem.at(last.process_noise), structure, starts)
                 )
             )
     return out
 
 
-def refine_with_short_memory(found: SearchResult, held: Mapping[str, float], candidates: Sequence[str]) -> SearchResult:
+def refine_with_short_memory(found: SearchResult, candidates: Sequence[str]) -> SearchResult:
     """The search, with what shows beside its last model to a filter that remembers for no longer than the recording
     asks for, where meetings of motor and link are judged only if the model foresees them; as it was where nothing does.
 
@@ -577,42 +562,40 @@ def refine_with_short_memory(found: SearchResult, held: Mapping[str, float], can
     nothing about what had been found. And since it sees how the axis departs from every law, what it shows alone has
     to earn as much more as what only a longer memory shows.
     """
-    cases, known = _fit_at_best_noise(found.cases, found.last)
+    problem, known = _fit_at_best_noise(found.problem, found.last)
     if known.process_noise < local_optima.PROCESS_NOISE_TOLERANCE * found.last.process_noise and all(
-        c.contact_mask is None for c in cases
+        c.contact_mask is None for c in problem.recordings
     ):
         return found
     room = thresholds.MAX_EFFECTS - len(set(known.structure.named) - set(found.first.structure.named))
-    cases, best, rounds = _add_with_short_memory(cases, known, room, candidates, held)
+    problem, best, rounds = _add_with_short_memory(problem, known, room, candidates)
     if not rounds:
         return found
-    cases, best, more = _add_with_usual_memory(found, cases, best, room - len(rounds), candidates, held)
+    problem, best, more = _add_with_usual_memory(found, problem, best, room - len(rounds), candidates)
     rounds += more
-    known = local_optima.refit(cases, known.structure, known.values, held, best.process_noise)
-    best, _, swaps = _prune_and_exchange(cases, best, known, rounds, held)
+    known = local_optima.refit(problem.at(best.process_noise), known.structure, known.values)
+    best, _, swaps = _prune_and_exchange(problem, best, known, rounds)
     new = [e for e in best.structure.named if e not in known.structure]
     if not new:
         return found
-    first = local_optima.refit(cases, found.first.structure, found.first.values, held, best.process_noise)
+    first = local_optima.refit(problem.at(best.process_noise), found.first.structure, found.first.values)
     # What had been found is judged beside what is new, each by itself.
-    lesser = _refits(cases, best, held, _smaller_structures(best.structure, first.structure))
-    best = _without_unmet_stops(cases, best)
+    lesser = _refits(problem, best, _smaller_structures(best.structure, first.structure))
+    best = _without_unmet_stops(problem, best)
     wider = [
-        w
-        for w in _containing_alternatives(cases, best, found.first.structure, candidates, held, rounds)
-        if w.effect in new
+        w for w in _containing_alternatives(problem, best, found.first.structure, candidates, rounds) if w.effect in new
     ]
-    best, swaps = _prefer_containing(cases, best, swaps, wider, held)
+    best, swaps = _prefer_containing(problem, best, swaps, wider)
     added = [e for e in best.structure.named if e not in known.structure]
-    swaps += _refit_alternatives(cases, best, found.alternatives, held, more=added)
-    return SearchResult(first, best, (*found.rounds, *rounds), tuple(cases), (*lesser, first), tuple(swaps))
+    swaps += _refit_alternatives(problem, best, found.alternatives, more=added)
+    return SearchResult(first, best, (*found.rounds, *rounds), problem, (*lesser, first), tuple(swaps))
 
 
 def with_last_model(found: SearchResult, last: Fit) -> SearchResult:
     """The search with another last model of the same structure, and what that is held against fitted anew."""
     kept = local_optima.held_values(last)
-    fits = _refits(found.cases, last, kept, _smaller_structures(last.structure, found.first.structure))
-    swaps = _refit_alternatives(found.cases, last, found.alternatives, kept)
+    fits = _refits(found.problem.holding(kept), last, _smaller_structures(last.structure, found.first.structure))
+    swaps = _refit_alternatives(found.problem.holding(kept), last, found.alternatives)
     return replace(found, last=last, smaller_models=(*fits, found.first) if fits else (), alternatives=tuple(swaps))
 
 
@@ -621,9 +604,9 @@ def drop_effects(found: SearchResult, effects: Sequence[str], values: Mapping[st
     the place of what stays: of two that do the same it may be the other that fits better alone.
     """
     kept, structure = local_optima.held_values(found.last), found.last.structure.without(*effects)
-    alone = local_optima.refit(found.cases, structure, values, kept, found.last.process_noise)
-    last, lesser, swaps = _prune_and_exchange(found.cases, alone, found.first, found.rounds, kept)
+    alone = local_optima.refit(found.problem.holding(kept).at(found.last.process_noise), structure, values)
+    last, lesser, swaps = _prune_and_exchange(found.problem.holding(kept), alone, found.first, found.rounds)
     told = {(w.effect, w.rival) for w in swaps}
     others = [w for w in found.alternatives if (w.effect, w.rival) not in told]
-    swaps += _refit_alternatives(found.cases, last, others, kept, fewer=effects)
+    swaps += _refit_alternatives(found.problem.holding(kept), last, others, fewer=effects)
     return replace(found, last=last, smaller_models=tuple(lesser), alternatives=tuple(swaps))

@@ -21,6 +21,7 @@ from twin.diagnosis.result import Trace
 from twin.estimation import likelihood, preparation, prepared_recording
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.fmi import python_fmu
 from twin.io.position_loop import own_loop
 from twin.io.recording import Recording, to_fit
@@ -108,7 +109,7 @@ def simulate_recording(model: Model, recording: Recording, closed: bool = False)
     by the kernel. Raises BadInput where that loop is not known.
     """
     case = prepared_recording.prepare_recording(recording, model.structure, closed)
-    (case,) = preparation.with_internal_step([replace(case, start=python_fmu.start_of(recording))], model.structure)
+    case = replace(case, start=python_fmu.start_of(recording))
     seen = likelihood.filtered_states(case, model.structure, model.values, 0.0).reading
     return seen[own_loop(recording).stamps] if closed else seen
 
@@ -142,24 +143,21 @@ def _acceleration_ratio(here: MissingTorque, there: MissingTorque) -> float:
     return here.acceleration_rms / max(there.acceleration_rms, 1e-300)
 
 
-def physics_only_in_holdout(
-    cases: Sequence[PreparedRecording], point: Fit, held_out: Sequence[RecordingPart]
-) -> list[str]:
+def physics_only_in_holdout(problem: FitProblem, point: Fit, held_out: Sequence[RecordingPart]) -> list[str]:
     """What the last model lacks in held-out data alone: of physics that did not act before, nobody could tell.
 
     Either a torque that goes with something, or one that is larger than all before, as where a stop is met.
     """
 
     def lacks(case: PreparedRecording, part: RecordingPart) -> tuple[MissingTorque, nonparametric.RemainingDependence]:
-        (mine,) = preparation.with_internal_step([case], point.structure)
-        missing = residual_torque.missing_torque(mine, point.structure, point.values).between(part.begin, part.end)
+        missing = residual_torque.missing_torque(case, point.structure, point.values).between(part.begin, part.end)
         return missing, nonparametric.examine_dependence(missing, case.recording.lever)
 
-    fitted = [lacks(c, RecordingPart(c.recording)) for c in cases]
+    fitted = [lacks(c, RecordingPart(c.recording)) for c in problem.recordings]
     known, loud = max(left.size for _, left in fitted), max(missing.rms for missing, _ in fitted)
     said = []
     for part in held_out:
-        (case,) = preparation.prepare_recordings([part.recording], point.structure)
+        (case,) = preparation.prepare_recordings([part.recording], point.structure).recordings
         missing, left = lacks(case, part)
         least = thresholds.HOLDOUT_MIN_SHARE * missing.acceleration_rms
         if left.variables == ("acceleration",):

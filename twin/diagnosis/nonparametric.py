@@ -23,9 +23,10 @@ from twin.diagnosis import residual_torque, thresholds
 from twin.diagnosis.residual_torque import MissingTorque
 from twin.effects.catalogue import EFFECTS, pages
 from twin.effects.knots import KNOTS, names, slopes, spots, through
-from twin.estimation import likelihood, local_optima, multistart, optimizer, preparation
+from twin.estimation import likelihood, local_optima, multistart, optimizer
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.model.stepper import Structure
 from twin.parallel import each
 
@@ -236,8 +237,7 @@ def remaining_dependence(
     case: PreparedRecording, structure: Structure, values: Mapping[str, float]
 ) -> RemainingDependence:
     """Is there still structure in what a fitted model lacks that depends on the state?"""
-    (mine,) = preparation.with_internal_step([case], structure)
-    return examine_dependence(residual_torque.missing_torque(mine, structure, values), case.recording.lever)
+    return examine_dependence(residual_torque.missing_torque(case, structure, values), case.recording.lever)
 
 
 def is_dependence_left(found: RemainingDependence) -> bool:
@@ -418,30 +418,34 @@ def _masked_torque(case: PreparedRecording, missing: MissingTorque) -> MissingTo
     return replace(missing, torque=torque) if enough else missing
 
 
-def sketch_with_memory(cases: Sequence[PreparedRecording], base: Fit, term: CurveTerm) -> Fit:
+def sketch_with_memory(problem: FitProblem, base: Fit, term: CurveTerm) -> Fit:
     """The base model and a term with a state of its own, after a few steps from the likeliest of some starts."""
-    effect, lever = EFFECTS[f"unknown_{term.kind}"], max(c.recording.lever for c in cases)
+    effect, lever = EFFECTS[f"unknown_{term.kind}"], max(c.recording.lever for c in problem.recordings)
     structure = base.structure.with_(effect.id)
     scale = {p.name: lever if p.unit == "{x}" else 1.0 for p in effect.parameters}
     starts = ({n: v * scale[n] for n, v in start.items()} for start in _MEMORY_STARTS[term.kind])
     size, *others = (p.name for p in effect.parameters)
-    mine, free = preparation.with_internal_step(cases, structure), (*base.free, size)
+    free = (*base.free, size)
 
     def climbed(values: Mapping[str, float], free: tuple[str, ...]) -> Fit:
-        return optimizer.levenberg_marquardt(mine, structure, values, base.process_noise, free, rounds=5, tolerance=1.0)
+        return optimizer.levenberg_marquardt(
+            problem.at(base.process_noise), structure, values, free, rounds=5, tolerance=1.0
+        )
 
     trials = each(lambda start: climbed({**base.values, size: 0.0, **start}, free), starts)
     return climbed(min(trials, key=lambda p: p.deviance).values, (*free, *others))
 
 
-def sketch_curve(cases: Sequence[PreparedRecording], base: Fit, term: CurveTerm) -> Fit:
+def sketch_curve(problem: FitProblem, base: Fit, term: CurveTerm) -> Fit:
     """The base model and a term of no known shape, after a few steps at the base's noise density."""
     kind = term.kind
     if kind in _MEMORY_STARTS:
-        return sketch_with_memory(cases, base, term)
+        return sketch_with_memory(problem, base, term)
     structure = base.structure.with_(f"unknown_{kind}")
-    mine = preparation.with_internal_step(cases, structure)
-    parts = [_averages(_masked_torque(c, residual_torque.missing_torque(c, base.structure, base.values))) for c in mine]
+    parts = [
+        _averages(_masked_torque(c, residual_torque.missing_torque(c, base.structure, base.values)))
+        for c in problem.recordings
+    ]
     means = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
     first = _initial_waves if kind in _WAVE_KINDS else _initial_curve
     start, free = first(means, term, base.values)
@@ -452,11 +456,11 @@ def sketch_curve(cases: Sequence[PreparedRecording], base: Fit, term: CurveTerm)
     # Gap and teeth stay where they are until it is finished: a run has room for the slopes of all others.
     few = tuple(n for n in free if n not in multistart.MULTIMODAL)
     values = optimizer.levenberg_marquardt(
-        mine, structure, values, base.process_noise, few, rounds=5, tolerance=1.0
+        problem.at(base.process_noise), structure, values, few, rounds=5, tolerance=1.0
     ).values
     if kind not in _WAVE_KINDS:
         values = _interpolate_unseen_knots(values, f"unknown_{kind}", free)
-    return likelihood.evaluate(mine, structure, values, base.process_noise, free)
+    return likelihood.evaluate(problem.at(base.process_noise), structure, values, free)
 
 
 def first_wave_only(sketched: Fit) -> Fit:
@@ -470,17 +474,16 @@ def first_wave_only(sketched: Fit) -> Fit:
     return replace(sketched, values=values, free=tuple(n for n in sketched.free if n not in mine - first))
 
 
-def fit_curve(cases: Sequence[PreparedRecording], sketched: Fit) -> Fit:
+def fit_curve(problem: FitProblem, sketched: Fit) -> Fit:
     """The maximum from a sketch."""
-    mine = preparation.with_internal_step(cases, sketched.structure)
     return optimizer.levenberg_marquardt(
-        mine, sketched.structure, sketched.values, sketched.process_noise, sketched.free
+        problem.at(sketched.process_noise), sketched.structure, sketched.values, sketched.free
     )
 
 
-def restart_curve_gap(cases: Sequence[PreparedRecording], point: Fit) -> Fit:
+def restart_curve_gap(problem: FitProblem, point: Fit) -> Fit:
     """The point, or a better one where gap, shares and teeth are looked for anew; what is not free stays as it is."""
-    return local_optima.restart_gap(cases, point, local_optima.held_values(point))
+    return local_optima.restart_gap(problem.holding(local_optima.held_values(point)), point)
 
 
 #: What can draw the tables that are not drawn by the term over their first variable.

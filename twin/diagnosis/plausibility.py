@@ -12,6 +12,7 @@ from twin.diagnosis import thresholds
 from twin.estimation import parameter_bounds
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 
 Rule = Callable[[Sequence[PreparedRecording], Mapping[str, float]], bool]
 
@@ -150,22 +151,26 @@ RULES: Mapping[str, Rule] = {
 }
 
 
-def _implausible_effects(cases: Sequence[PreparedRecording], point: Fit) -> set[str]:
+def _implausible_effects(problem: FitProblem, point: Fit) -> set[str]:
     """The effects of the fit that are no longer what their names say; of what has a phase also those without a size."""
     phases = {e.id: e.screen.phase for e in point.structure.effects if e.screen is not None}
     flung = {
         effect for effect, phase in phases.items() if phase and not abs(point.values[phase]) < thresholds.MAX_PHASE
     }
-    ruled = {effect for effect, rule in RULES.items() if effect in point.structure and not rule(cases, point.values)}
+    ruled = {
+        effect
+        for effect, rule in RULES.items()
+        if effect in point.structure and not rule(problem.recordings, point.values)
+    }
     return flung | ruled
 
 
-def is_plausible(cases: Sequence[PreparedRecording], point: Fit, before: Fit | None = None) -> bool:
+def is_plausible(problem: FitProblem, point: Fit, before: Fit | None = None) -> bool:
     """Whether every effect of the fit still is what its name says, or was not so in the model before it either: what a
     first model is told to contain, as a delay that there is none of, speaks against nothing that is added.
     """
-    bent = _implausible_effects(cases, point)
-    return not bent or (before is not None and bent <= _implausible_effects(cases, before))
+    bent = _implausible_effects(problem, point)
+    return not bent or (before is not None and bent <= _implausible_effects(problem, before))
 
 
 def _state_share(case: PreparedRecording, values: Mapping[str, float]) -> float:

@@ -126,6 +126,7 @@ def missing_torque(
     case: PreparedRecording, structure: Structure, values: Mapping[str, float], memory: float = TORQUE_MEMORY
 ) -> MissingTorque:
     """Read the missing torque off the corrections of a filter with the given memory, s."""
+    case = case.stepped(structure)
     step = float(np.median(np.diff(case.drive.time)))
     memory = max(memory, 4.0 * step)
     run = likelihood.filtered_states(case, structure, values, filter_memory.process_noise_of(case, memory))

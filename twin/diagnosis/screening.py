@@ -24,7 +24,7 @@ from twin.diagnosis.thresholds import MIN_REPEATS
 from twin.effects.catalogue import CANDIDATES, EFFECTS, pages
 from twin.estimation import likelihood, multistart, numerics, optimizer, parameter_bounds, preparation
 from twin.estimation.fit import Fit
-from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem, free_parameters
 from twin.model.stepper import Structure
 from twin.parallel import each
 
@@ -84,14 +84,14 @@ def _heating_command(missing: MissingTorque, values: Mapping[str, float], span: 
 
 
 def trial_grids(
-    cases: Sequence[PreparedRecording], structure: Structure, values: Mapping[str, float]
+    problem: FitProblem, structure: Structure, values: Mapping[str, float]
 ) -> dict[str, list[dict[str, float]]]:
     """For each candidate, values of its non-linear parameters that are worth a try on these recordings."""
-    longest = max(cases, key=lambda c: c.drive.time[-1])
-    span = float(max(np.max(np.abs(c.recording.input)) for c in cases))
+    longest = max(problem.recordings, key=lambda c: c.drive.time[-1])
+    span = float(max(np.max(np.abs(c.recording.input)) for c in problem.recordings))
     end = float(longest.drive.time[-1])
     missing = residual_torque.missing_torque(longest, structure, values)
-    places = np.concatenate([c.positions for c in cases])
+    places = np.concatenate([c.positions for c in problem.recordings])
     travel = float(np.ptp(places))
     out: dict[str, list[dict[str, float]]] = {}
     for effect in CANDIDATES:
@@ -186,24 +186,24 @@ _MIN_TRAVEL = {"encoder_eccentricity": 0.5 * math.pi, "position_dependent_fricti
 _MOMENTARY = ("load_change", "periodic_disturbance")
 
 
-def testable_candidates(cases: Sequence[PreparedRecording], candidates: Sequence[str]) -> list[str]:
+def testable_candidates(problem: FitProblem, candidates: Sequence[str]) -> list[str]:
     """The candidates that recordings of this kind can show.
 
     Several recordings of speed begin at angles that nobody knows, so that nothing of position can be fitted to all.
     """
-    first = cases[0].recording
-    readings = [c.drive.measured for c in cases]
+    first = problem.recordings[0].recording
+    readings = [c.drive.measured for c in problem.recordings]
     out: set[str] = set()
     if first.output_unit.startswith("m"):
         out.update(_NEEDS_TURN)
     if not first.is_speed:
         travel = max(float(np.nanmax(y) - np.nanmin(y)) for y in readings)
         out.update(e for e, least in _MIN_TRAVEL.items() if travel < least)
-    if len(cases) > 1:
+    if len(problem.recordings) > 1:
         out.update(_MOMENTARY)
     if first.is_speed:
         out.update(e for e in candidates if EFFECTS[e].slot == "sensor")
-    if first.is_speed and len(cases) > 1:
+    if first.is_speed and len(problem.recordings) > 1:
         out.update(e for e in candidates if "position" in EFFECTS[e].depends_on)
     return [e for e in candidates if e not in out]
 
@@ -299,13 +299,12 @@ def _group_trials(base: Fit, rows: Sequence[_Trial]) -> list[list[_Trial]]:
     return groups
 
 
-def _score_starts(cases: Sequence[PreparedRecording], base: Fit, rows: Sequence[_Trial]) -> list[ScoreStart]:
+def _score_starts(problem: FitProblem, base: Fit, rows: Sequence[_Trial]) -> list[ScoreStart]:
     """Starts of candidates from the exact sensitivities where none of them does anything."""
     structure = base.structure.with_(*(i for row in rows for i in row.structure.ids))
     news = dict.fromkeys(n for row in rows for n in row.news)
     values = preparation.complete_values(structure, {n: v for row in rows for n, v in row.values.items()})
-    mine = preparation.with_internal_step(cases, structure)
-    point = likelihood.evaluate(mine, structure, values, base.process_noise, (*base.free, *news))
+    point = likelihood.evaluate(problem.at(base.process_noise), structure, values, (*base.free, *news))
     return [_score_start(base, point, row) for row in rows]
 
 
@@ -338,8 +337,8 @@ def _promised_gain(point: Fit) -> float:
 
 
 def _direct_start(
-    cases: Sequence[PreparedRecording],
-    seen: Sequence[PreparedRecording],
+    problem: FitProblem,
+    seen: FitProblem,
     base: Fit,
     effect: str,
     trials: Sequence[Mapping[str, float]],
@@ -352,20 +351,22 @@ def _direct_start(
     places = [values_with(base, structure, effect, clipped_to_bounds(t)) for t in trials]
     # A valley may be narrow, and its walls are what a place beside it shows: the likeliest walk a little before they
     # are judged, and the likeliest of every choice that no walk changes.
-    places.sort(key=lambda v: likelihood.evaluate(seen, structure, v, base.process_noise).deviance)
+    places.sort(key=lambda v: likelihood.evaluate(seen.at(base.process_noise), structure, v).deviance)
     first: dict[tuple[float, ...], dict[str, float]] = {}
     for place in places:
         first.setdefault(tuple(v for n, v in place.items() if n not in free), place)
     rest = [place for place in places if place not in first.values()]
     near = [*first.values(), *rest[: max(_MAX_CLOSE_STARTS - len(first), 0)]]
     points = [
-        optimizer.levenberg_marquardt(seen, structure, v, base.process_noise, free, rounds=_FIRST_STEPS, tolerance=1.0)
+        optimizer.levenberg_marquardt(
+            seen.at(base.process_noise), structure, v, free, rounds=_FIRST_STEPS, tolerance=1.0
+        )
         for v in near
     ]
     best = optimizer.levenberg_marquardt_from(
         seen, min(points, key=lambda p: p.deviance), rounds=_MORE_STEPS, tolerance=1.0
     )
-    found = likelihood.evaluate(cases, structure, best.values, base.process_noise, free)
+    found = likelihood.evaluate(problem.at(base.process_noise), structure, best.values, free)
     return base.deviance - found.deviance + _promised_gain(found), found.values
 
 
@@ -391,36 +392,35 @@ def structure_with(structure: Structure, effect: str) -> Structure:
 
 
 def most_likely_values(
-    cases: Sequence[PreparedRecording], structure: Structure, places: Sequence[dict[str, float]], process_noise: float
+    problem: FitProblem, structure: Structure, places: Sequence[dict[str, float]]
 ) -> dict[str, float]:
     """The likeliest of some values of the structure."""
     if len(places) == 1:
         return places[0]
-    return min(places, key=lambda v: likelihood.evaluate(cases, structure, v, process_noise).deviance)
+    return min(places, key=lambda v: likelihood.evaluate(problem, structure, v).deviance)
 
 
 def score_candidates(
-    cases: Sequence[PreparedRecording], base: Fit, trials: Mapping[str, Sequence[Mapping[str, float]]]
+    problem: FitProblem, base: Fit, trials: Mapping[str, Sequence[Mapping[str, float]]]
 ) -> list[Candidate]:  # fmt: skip
     """The candidates, each where it promises most beside the base."""
-    held = set(preparation.free_parameters(base.structure)) - set(base.free)
+    held = set(free_parameters(base.structure)) - set(base.free)
     rows = {e: [{n: v for n, v in row.items() if n not in held} for row in tried] for e, tried in trials.items()}
-    parts = multistart.excerpts(cases, base.structure)
+    parts = multistart.excerpts(problem, base.structure)
 
     def free(structure: Structure) -> tuple[str, ...]:
-        return tuple(n for n in preparation.free_parameters(structure) if n not in held)
+        return problem.free(structure)
 
     def direct(effect: str) -> list[Candidate]:
         structure = structure_with(base.structure, effect)
-        mine = preparation.with_internal_step(cases, structure)
         # What happens at some place may happen there in no part that is seen.
-        seen = mine if "position" in EFFECTS[effect].depends_on else preparation.with_internal_step(parts, structure)
-        promise, values = _direct_start(mine, seen, base, effect, rows[effect], free(structure))
+        seen = problem if "position" in EFFECTS[effect].depends_on else parts
+        promise, values = _direct_start(problem, seen, base, effect, rows[effect], free(structure))
         return [Candidate(effect, structure, free(structure), (values,), promise)]
 
     def nested(group: Sequence[_Trial]) -> list[Candidate]:
         out = []
-        for row, start in zip(group, _score_starts(cases, base, group), strict=True):
+        for row, start in zip(group, _score_starts(problem, base, group), strict=True):
             places = tuple(start.at(share) for share in _STEP_SHARES)
             out.append(Candidate(row.effect, row.structure, free(row.structure), places, start.promised_gain))
         return out

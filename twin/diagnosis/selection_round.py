@@ -39,7 +39,7 @@ from twin.estimation import (
     preparation,
 )
 from twin.estimation.fit import Fit
-from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.model.stepper import Structure
 from twin.parallel import each
 
@@ -61,22 +61,20 @@ class Hypothesis:
         return self.point.deviance
 
 
-def _short_fit(cases: Sequence[PreparedRecording], base: Fit, entry: Candidate) -> Hypothesis:
-    mine = preparation.with_internal_step(cases, entry.structure)
-    begun = screening.most_likely_values(mine, entry.structure, entry.places, base.process_noise)
+def _short_fit(problem: FitProblem, base: Fit, entry: Candidate) -> Hypothesis:
+    begun = screening.most_likely_values(problem.at(base.process_noise), entry.structure, entry.places)
     found = optimizer.levenberg_marquardt(
-        mine, entry.structure, begun, base.process_noise, entry.free, rounds=6, tolerance=1.0
+        problem.at(base.process_noise), entry.structure, begun, entry.free, rounds=6, tolerance=1.0
     )
     return Hypothesis((entry.effect,), found)
 
 
-def screen_candidates(cases: Sequence[PreparedRecording], base: Fit, candidates: Sequence[str]) -> list[Hypothesis]:
+def screen_candidates(problem: FitProblem, base: Fit, candidates: Sequence[str]) -> list[Hypothesis]:
     """The candidates that promise most beside the base, after a few steps; the best first."""
-    mine = preparation.with_internal_step(cases, base.structure)
-    trials = screening.trial_grids(mine, base.structure, base.values)
-    entered = screening.score_candidates(mine, base, {e: trials[e] for e in candidates})
+    trials = screening.trial_grids(problem, base.structure, base.values)
+    entered = screening.score_candidates(problem, base, {e: trials[e] for e in candidates})
     entries = sorted(entered, key=lambda e: -e.promised_gain)
-    fits = each(lambda e: _short_fit(mine, base, e), entries[: thresholds.MAX_SCREENED])
+    fits = each(lambda e: _short_fit(problem, base, e), entries[: thresholds.MAX_SCREENED])
     return sorted(fits, key=lambda h: h.deviance)
 
 
@@ -104,7 +102,7 @@ def _is_preferred(smaller: Fit, larger: Fit) -> bool:
     return gain > thresholds.PENALTY_PER_PARAMETER * min(len(larger.free) - len(smaller.free), 1)
 
 
-def is_confirmed(cases: Sequence[PreparedRecording], before: Fit, after: Fit) -> bool:
+def is_confirmed(problem: FitProblem, before: Fit, after: Fit) -> bool:
     """Whether the gain rises above the roughness of the likelihood, and the larger model is preferred, too, where only
     meetings of motor and link that it foresees are judged, and by filters that forget faster, both adapted to them,
     down to the first to which innovations are white and the effect does what it must if it is there.
@@ -116,41 +114,43 @@ def is_confirmed(cases: Sequence[PreparedRecording], before: Fit, after: Fit) ->
     that is too little to be preferred, what chance makes of it says nothing against a filter that was sure.
     """
     if not model_comparison.is_significant(
-        before, after, max(each(partial(maximum_likelihood.roughness, cases), (before, after)))
+        before, after, max(each(partial(maximum_likelihood.roughness, problem), (before, after)))
     ):
         return False
     tests = (
-        partial(test, cases, before, after)
+        partial(test, problem, before, after)
         for test in (_confirmed_at_foreseeable_contacts, _confirmed_by_short_memories)
     )
     return all(each(call, tests))
 
 
-def _confirmed_at_foreseeable_contacts(cases: Sequence[PreparedRecording], before: Fit, after: Fit) -> bool:
+def _confirmed_at_foreseeable_contacts(problem: FitProblem, before: Fit, after: Fit) -> bool:
     """Whether the larger model is preferred where only meetings of motor and link that it foresees are judged."""
-    foreseen = contact_masking.with_contact_mask(preparation.with_internal_step(cases, after.structure), after)
-    if all(c.contact_mask is None for c in foreseen):
+    foreseen = contact_masking.with_contact_mask(problem, after)
+    if all(c.contact_mask is None for c in foreseen.recordings):
         return True
     return _is_preferred(*_refit_both(foreseen, before, after, before.process_noise))
 
 
-def _confirmed_by_short_memories(cases: Sequence[PreparedRecording], before: Fit, after: Fit) -> bool:
+def _confirmed_by_short_memories(problem: FitProblem, before: Fit, after: Fit) -> bool:
     """Whether the larger model is preferred by filters that forget faster, as far as they can know."""
-    memory = filter_memory.memory_of(cases[0], before.process_noise)
+    memory = filter_memory.memory_of(problem.recordings[0], before.process_noise)
     smaller, larger, least = before, after, 0.0
     for shorter in (memory / times for times in thresholds.MEMORY_DIVISORS):
         gain, unit = smaller.deviance - larger.deviance, model_comparison.overdispersion([smaller, larger])
         if shorter < thresholds.SHORTEST_MEMORY or (unit < thresholds.WHITE_OVERDISPERSION and gain >= least):
             break
         least, sure = thresholds.GAIN_KEPT_AT_HALF_MEMORY * gain, gain > thresholds.CLEAR_GAIN * unit
-        smaller, larger = _refit_both(cases, before, after, filter_memory.process_noise_of(cases[0], shorter))
+        smaller, larger = _refit_both(
+            problem, before, after, filter_memory.process_noise_of(problem.recordings[0], shorter)
+        )
         if not _is_preferred(smaller, larger):
             too_little = least < thresholds.PENALTY_PER_PARAMETER * model_comparison.overdispersion([smaller, larger])
             return sure and too_little and larger.deviance <= smaller.deviance
     return True
 
 
-def _refit_both(cases: Sequence[PreparedRecording], before: Fit, after: Fit, process_noise: float) -> tuple[Fit, Fit]:
+def _refit_both(problem: FitProblem, before: Fit, after: Fit, process_noise: float) -> tuple[Fit, Fit]:
     """Both models at another noise density, each from its own place and the other's: valleys are others there, and the
     one that the larger model happens to be in says nothing about its effect. Where the smaller one can be the larger
     can be, too, with what it adds as it was or as nothing.
@@ -159,10 +159,9 @@ def _refit_both(cases: Sequence[PreparedRecording], before: Fit, after: Fit, pro
     nothing = {n: v for i in added for n, v in screening.neutral_values(i).items()}
 
     def adapted(point: Fit, values: Mapping[str, float]) -> Fit:
-        mine = preparation.with_internal_step(cases, point.structure)
         begun = {n: values.get(n, v) for n, v in point.values.items()}
         return optimizer.levenberg_marquardt(
-            mine, point.structure, begun, process_noise, point.free, rounds=20, tolerance=0.2
+            problem.at(process_noise), point.structure, begun, point.free, rounds=20, tolerance=0.2
         )
 
     both = (before, after)
@@ -174,53 +173,53 @@ def _refit_both(cases: Sequence[PreparedRecording], before: Fit, after: Fit, pro
 
 
 def _refit_hypotheses(
-    cases: Sequence[PreparedRecording], found: Sequence[Hypothesis], held: Mapping[str, float], process_noise: float
+    problem: FitProblem, found: Sequence[Hypothesis]
 ) -> list[Hypothesis]:  # fmt: skip
     """What was found, each at the maximum near it."""
     return each(
-        lambda h: Hypothesis(
-            h.added, local_optima.refit(cases, h.point.structure, h.point.values, held, process_noise)
-        ),
+        lambda h: Hypothesis(h.added, local_optima.refit(problem, h.point.structure, h.point.values)),
         found,
     )
 
 
-def _refit_deeper(cases: Sequence[PreparedRecording], h: Hypothesis, held: Mapping[str, float]) -> list[Hypothesis]:
-    return [Hypothesis(h.added, local_optima.refit_through_best_noise(cases, h.point, held))]
+def _refit_deeper(problem: FitProblem, h: Hypothesis) -> list[Hypothesis]:
+    return [Hypothesis(h.added, local_optima.refit_through_best_noise(problem, h.point))]
 
 
 def _fit_followers(
-    cases: Sequence[PreparedRecording], base: Fit, candidates: Sequence[str], held: Mapping[str, float]
+    problem: FitProblem, base: Fit, candidates: Sequence[str]
 ) -> list[Hypothesis]:  # fmt: skip
     """The candidates that follow the missing torque best, fitted from where they do, on either side of the gap."""
-    best = torque_regression.ranked_by_torque(cases, base, candidates)[: thresholds.MAX_FOLLOWERS]
+    best = torque_regression.ranked_by_torque(problem, base, candidates)[: thresholds.MAX_FOLLOWERS]
     begun = [(f.effect, f.structure, place) for f in best for place in f.places]
     longer = base.structure.with_("constant_offset")
     begun += [("constant_offset", longer, place) for place in torque_regression.offset_starts(base, candidates)]
 
     def fitted(start: tuple[str, Structure, dict[str, float]]) -> Hypothesis:
         effect, structure, place = start
-        return Hypothesis((effect,), local_optima.refit(cases, structure, {**place, **held}, held, base.process_noise))
+        return Hypothesis(
+            (effect,), local_optima.refit(problem.at(base.process_noise), structure, {**place, **problem.held})
+        )
 
     # Where a regression sends the drive to sleep no model runs.
     return [h for h in each(fitted, begun) if math.isfinite(h.deviance)]
 
 
 def _fit_beside_free_motion(
-    cases: Sequence[PreparedRecording], base: Fit, candidates: Sequence[str], held: Mapping[str, float]
+    problem: FitProblem, base: Fit, candidates: Sequence[str]
 ) -> list[Hypothesis]:  # fmt: skip
     """The candidates that promise most beside the base as it is where the axis moves freely, if that is far from it;
     gap, shares and teeth are looked for anew.
     """
-    free = torque_regression.fit_to_free_motion(cases, base)
+    free = torque_regression.fit_to_free_motion(problem, base)
     if free is None:
         return []
 
     def fitted(h: Hypothesis) -> Hypothesis:
-        point = local_optima.refit(cases, h.point.structure, h.point.values, held, base.process_noise)
-        return Hypothesis(h.added, local_optima.restart_gap(cases, point, held))
+        point = local_optima.refit(problem.at(base.process_noise), h.point.structure, h.point.values)
+        return Hypothesis(h.added, local_optima.restart_gap(problem, point))
 
-    return each(fitted, screen_candidates(cases, free, candidates)[: thresholds.MAX_FITTED])
+    return each(fitted, screen_candidates(problem, free, candidates)[: thresholds.MAX_FITTED])
 
 
 def _is_confusable(effect: str, winner: Hypothesis) -> bool:
@@ -229,52 +228,50 @@ def _is_confusable(effect: str, winner: Hypothesis) -> bool:
     return effect in EFFECTS[other].confused_with or other in EFFECTS[effect].confused_with
 
 
-def _fit_in_place_of_winner(
-    cases: Sequence[PreparedRecording], winner: Hypothesis, structure: Structure, effect: str, held: Mapping[str, float]
-) -> Hypothesis:
+def _fit_in_place_of_winner(problem: FitProblem, winner: Hypothesis, structure: Structure, effect: str) -> Hypothesis:
     """The structure with the effect, from where the winner stands."""
     longer, point = preparation.with_tooth_compliance(structure.with_(effect)), winner.point
-    mine = preparation.with_internal_step(cases, longer)
-    trials = screening.trial_grids(mine, point.structure, point.values)[effect]
+    trials = screening.trial_grids(problem, point.structure, point.values)[effect]
     places = [screening.values_with(point, longer, effect, t) for t in trials]
-    begun = screening.most_likely_values(mine, longer, places, point.process_noise)
-    return Hypothesis((effect,), local_optima.refit(cases, longer, begun, held, point.process_noise))
+    begun = screening.most_likely_values(problem.at(point.process_noise), longer, places)
+    return Hypothesis((effect,), local_optima.refit(problem.at(point.process_noise), longer, begun))
 
 
 def _fit_from_other(
-    cases: Sequence[PreparedRecording],
+    problem: FitProblem,
     one: Hypothesis,
     other: Hypothesis,
     smaller: Structure,
-    held: Mapping[str, float],
 ) -> Hypothesis:
     """The one with its own effect from where the other stands in everything that both share."""
     shared = {p.name: other.point.values[p.name] for p in smaller.parameters if p.name in other.point.values}
     own = one.point
     return Hypothesis(
-        one.added, local_optima.refit(cases, own.structure, {**own.values, **shared}, held, own.process_noise)
+        one.added, local_optima.refit(problem.at(own.process_noise), own.structure, {**own.values, **shared})
     )
 
 
 def _fit_on_other_gap_side(
-    cases: Sequence[PreparedRecording], before: Fit, h: Hypothesis, held: Mapping[str, float]
+    problem: FitProblem, before: Fit, h: Hypothesis
 ) -> list[Hypothesis]:  # fmt: skip
     """What was added, on the other side of the gap or, for a lag, of the dead-band, from where it stands: a few steps
     chose the side, and no slope leads to the other.
     """
     own = h.point
     shares = [p.name for p in own.structure.parameters if p.acts_on and p.name not in before.values]
-    begun = ({**own.values, name: 0.0 if own.values[name] > 0.5 else 1.0} for name in shares if name not in held)
-    return [Hypothesis(h.added, local_optima.refit(cases, own.structure, b, held, own.process_noise)) for b in begun]
+    begun = (
+        {**own.values, name: 0.0 if own.values[name] > 0.5 else 1.0} for name in shares if name not in problem.held
+    )
+    return [Hypothesis(h.added, local_optima.refit(problem.at(own.process_noise), own.structure, b)) for b in begun]
 
 
-def _better_plausible(cases: Sequence[PreparedRecording], point: Fit, others: Sequence[Fit]) -> Fit:
+def _better_plausible(problem: FitProblem, point: Fit, others: Sequence[Fit]) -> Fit:
     """The point, or the likeliest of others of its structure that are still what their names say."""
-    return min([point, *(p for p in others if is_plausible(cases, p, point))], key=lambda p: p.deviance)
+    return min([point, *(p for p in others if is_plausible(problem, p, point))], key=lambda p: p.deviance)
 
 
 def _test_against_smaller(
-    cases: Sequence[PreparedRecording], before: Fit, h: Hypothesis, held: Mapping[str, float]
+    problem: FitProblem, before: Fit, h: Hypothesis
 ) -> tuple[Fit, bool]:  # fmt: skip
     """The smaller model, or a better one from where the larger stands: what that found may have been another valley.
     And whether the larger one earns its place beside it, and shows.
@@ -282,17 +279,16 @@ def _test_against_smaller(
     if not model_comparison.is_significant(before, h.point):
         return before, False
     before = _better_plausible(
-        cases, before, [local_optima.refit(cases, before.structure, h.point.values, held, before.process_noise)]
+        problem, before, [local_optima.refit(problem.at(before.process_noise), before.structure, h.point.values)]
     )
-    return before, model_comparison.is_significant(before, h.point) and is_confirmed(cases, before, h.point)
+    return before, model_comparison.is_significant(before, h.point) and is_confirmed(problem, before, h.point)
 
 
 def run_round(
-    cases: Sequence[PreparedRecording],
+    problem: FitProblem,
     before: Fit,
     known: Sequence[Hypothesis],
     candidates: Sequence[str],
-    held: Mapping[str, float],
 ) -> Round:
     """One round: fit the candidates that promise most, and let the smaller model learn from the best of them.
 
@@ -302,20 +298,20 @@ def run_round(
     best: dict[tuple[str, ...], Hypothesis] = {}
 
     def keep(found: Sequence[Hypothesis]) -> None:
-        best.update(_best_per_effect(cases, before, [*best.values(), *found]))
+        best.update(_best_per_effect(problem, before, [*best.values(), *found]))
 
     def leading(most: int) -> list[Hypothesis]:
-        return sorted(best.values(), key=lambda h: (not is_plausible(cases, h.point, before), h.deviance))[:most]
+        return sorted(best.values(), key=lambda h: (not is_plausible(problem, h.point, before), h.deviance))[:most]
 
     begun = list(known)
     for _ in range(thresholds.MAX_ROUND_RESTARTS):
         # Regressions on the missing torque leave a core idle: the contest runs beside them.
-        ways = [partial(way, cases, before, promising, held) for way in (_fit_followers, _fit_beside_free_motion)]
-        follow, free, near = each(call, [*ways, partial(screen_candidates, cases, before, promising)])
-        keep([*follow, *free, *_refit_hypotheses(cases, (*begun, *near[: thresholds.MAX_FITTED]), held, process_noise)])
+        ways = [partial(way, problem, before, promising) for way in (_fit_followers, _fit_beside_free_motion)]
+        follow, free, near = each(call, [*ways, partial(screen_candidates, problem, before, promising)])
+        keep([*follow, *free, *_refit_hypotheses(problem.at(process_noise), (*begun, *near[: thresholds.MAX_FITTED]))])
         leaders, begun = leading(2), []
-        places = each(lambda h: local_optima.refit(cases, structure, h.point.values, held, process_noise), leaders)
-        smaller = _better_plausible(cases, before, places)
+        places = each(lambda h: local_optima.refit(problem.at(process_noise), structure, h.point.values), leaders)
+        smaller = _better_plausible(problem, before, places)
         unit = model_comparison.overdispersion([before, leaders[0].point])
         learned = (before.deviance - smaller.deviance) / unit
         if learned < thresholds.PENALTY_PER_PARAMETER:
@@ -335,26 +331,24 @@ def run_round(
         # have gone astray.
         near_it = [h.added for h in best.values() if h.deviance < far()]
         masks = [e for e in candidates if (e,) not in near_it and _is_confusable(e, leaders[0])]
-        keep(each(lambda e: _fit_in_place_of_winner(cases, leaders[0], structure, e, held), masks))
+        keep(each(lambda e: _fit_in_place_of_winner(problem, leaders[0], structure, e), masks))
     # Those that are not far behind the best may only have ended in a lesser valley.
     bar = far()
     close = [h for h in leading(thresholds.MAX_FITTED) if h.deviance < bar]
-    ways = [partial(_refit_deeper, cases, h, held) for h in close]
-    ways += [partial(_fit_on_other_gap_side, cases, before, h, held) for h in close]
+    ways = [partial(_refit_deeper, problem, h) for h in close]
+    ways += [partial(_fit_on_other_gap_side, problem, before, h) for h in close]
     keep([h for found in each(call, ways) for h in found])
     if unit >= thresholds.WHITE_OVERDISPERSION:
         # Where the likelihood is rough the one that ended in a better valley would win, whatever its effect.
         rough = [h for h in leading(1) if h.deviance < bar]
-        keep([Hypothesis(h.added, local_optima.restart_gap(cases, h.point, held)) for h in rough])
+        keep([Hypothesis(h.added, local_optima.restart_gap(problem, h.point)) for h in rough])
         pairs = itertools.permutations([h for h in leading(thresholds.MAX_EXCHANGED) if h.deviance < bar], 2)
-        keep(each(lambda pair: _fit_from_other(cases, pair[0], pair[1], structure, held), pairs))
-    this = _decide_round(cases, before, list(best.values()), held)
-    return this if this.won else _won_with_second(cases, this, candidates, held)
+        keep(each(lambda pair: _fit_from_other(problem, pair[0], pair[1], structure), pairs))
+    this = _decide_round(problem, before, list(best.values()))
+    return this if this.won else _won_with_second(problem, this, candidates)
 
 
-def _won_with_second(
-    cases: Sequence[PreparedRecording], this: Round, candidates: Sequence[str], held: Mapping[str, float]
-) -> Round:
+def _won_with_second(problem: FitProblem, this: Round, candidates: Sequence[str]) -> Round:
     """A lost round, won by a rival that earns its place as soon as there is another one beside it, if that is so: of
     two effects each may hide the other, so that neither by itself comes near. If the next round does not bear it out
     it is dropped again.
@@ -363,42 +357,39 @@ def _won_with_second(
         if this.before.deviance - h.deviance < thresholds.MIN_GAIN * this.overdispersion:
             continue
         open_ = [c for c in candidates if c not in h.point.structure]
-        ways = (partial(_fit_followers, cases, h.point, open_, held), partial(screen_candidates, cases, h.point, open_))
+        ways = (partial(_fit_followers, problem, h.point, open_), partial(screen_candidates, problem, h.point, open_))
         follow, near = each(call, ways)
-        ended = _refit_hypotheses(cases, near[: thresholds.MAX_FITTED], held, h.point.process_noise)
-        both = [x.point for x in (*follow, *ended) if is_plausible(cases, x.point, h.point)]
+        ended = _refit_hypotheses(problem.at(h.point.process_noise), near[: thresholds.MAX_FITTED])
+        both = [x.point for x in (*follow, *ended) if is_plausible(problem, x.point, h.point)]
         earning = max(both, key=partial(model_comparison.gain, this.before), default=h.point)
         enough = model_comparison.gain(this.before, earning) > 2.0 * thresholds.MIN_GAIN
-        if enough and model_comparison.is_significant(h.point, earning) and is_confirmed(cases, this.before, earning):
+        if enough and model_comparison.is_significant(h.point, earning) and is_confirmed(problem, this.before, earning):
             others = [o for o in this.rivals if o is not h]
             return Round(this.before, (h, *others), this.overdispersion, refused=_effects_before(this.rivals, h))
     return this
 
 
-def retry_with_long_memory(
-    cases: Sequence[PreparedRecording], this: Round, candidates: Sequence[str], held: Mapping[str, float]
-) -> Round:
+def retry_with_long_memory(problem: FitProblem, this: Round, candidates: Sequence[str]) -> Round:
     """A lost round once more, for slow torques, with a filter that remembers for longer than the model is right: what
     they do in a tenth of a second drowns in what the model has wrong there, and grows with the square of the time.
 
     The round as it is where the filter remembers for as long as the recording asks for, and where nothing does so much
     more that the errors of a long memory cannot have done it.
     """
-    before, longer = this.before, filter_memory.process_noise_of(cases[0], thresholds.LONG_MEMORY)
+    before, longer = this.before, filter_memory.process_noise_of(problem.recordings[0], thresholds.LONG_MEMORY)
     slow = [c for c in candidates if c in SLOW_EFFECTS]
     if this.won or not slow or before.process_noise <= longer:
         return this
-    mine = preparation.with_internal_step(cases, before.structure)
     if (
-        optimizer.most_likely_process_noise(mine, before.structure, before.values, around=before.process_noise)
+        optimizer.most_likely_process_noise(problem, before.structure, before.values, around=before.process_noise)
         <= before.process_noise
     ):
         return this
-    before = local_optima.refit(cases, before.structure, before.values, held, longer)
-    seen = screen_candidates(cases, before, slow)
+    before = local_optima.refit(problem.at(longer), before.structure, before.values)
+    seen = screen_candidates(problem, before, slow)
     if not any(model_comparison.gain(before, h.point) > thresholds.MIN_GAIN_AT_OTHER_MEMORY for h in seen):
         return this
-    found = run_round(cases, before, seen, slow, held)
+    found = run_round(problem, before, seen, slow)
     return (
         found
         if found.won
@@ -408,35 +399,35 @@ def retry_with_long_memory(
 
 
 def _best_per_effect(
-    cases: Sequence[PreparedRecording], before: Fit, found: Sequence[Hypothesis]
+    problem: FitProblem, before: Fit, found: Sequence[Hypothesis]
 ) -> dict[tuple[str, ...], Hypothesis]:  # fmt: skip
     """Of each effect its best fit; what is bent into something else must not oust what is still itself."""
     best: dict[tuple[str, ...], Hypothesis] = {}
     for h in found:
         best[h.added] = min(
-            best.get(h.added, h), h, key=lambda o: (not is_plausible(cases, o.point, before), o.deviance)
+            best.get(h.added, h), h, key=lambda o: (not is_plausible(problem, o.point, before), o.deviance)
         )
     return best
 
 
-def _restart_for_gain(cases: Sequence[PreparedRecording], before: Fit, point: Fit, held: Mapping[str, float]) -> Fit:
+def _restart_for_gain(problem: FitProblem, before: Fit, point: Fit) -> Fit:
     """The point, or where it earns more with gap, shares and teeth as the smaller model has them or looked for anew:
     a motor as light as may be rattles on and on, and of what it likes nobody can be sure.
     """
     own = {n: v for n, v in before.values.items() if n in multistart.MULTIMODAL}
     places = (
-        lambda: local_optima.restart_gap(cases, point, held),
-        lambda: local_optima.refit(cases, point.structure, {**point.values, **own}, held, point.process_noise),
+        lambda: local_optima.restart_gap(problem, point),
+        lambda: local_optima.refit(problem.at(point.process_noise), point.structure, {**point.values, **own}),
     )
     return max([point, *each(call, places)], key=partial(model_comparison.gain, before))
 
 
 def _decide_round(
-    cases: Sequence[PreparedRecording], before: Fit, found: Sequence[Hypothesis], held: Mapping[str, float]
+    problem: FitProblem, before: Fit, found: Sequence[Hypothesis]
 ) -> Round:  # fmt: skip
     """The round of these rivals, and its winner: the best that earns its place and shows."""
     # What is bent into something else, as a spring into a constant, is no rival to anything.
-    sound = sorted((h for h in found if is_plausible(cases, h.point, before)), key=lambda h: h.deviance)
+    sound = sorted((h for h in found if is_plausible(problem, h.point, before)), key=lambda h: h.deviance)
     unit = model_comparison.overdispersion([before, *(h.point for h in sound[:1])])
     rivals = sorted(sound, key=lambda h: model_comparison.criterion(h.point, unit))
     winner = None
@@ -445,12 +436,12 @@ def _decide_round(
             model_comparison.criterion(before, unit) - model_comparison.criterion(h.point, unit) > thresholds.MIN_GAIN
         )
         promises = promises or model_comparison.is_significant(before, h.point)
-        before, stands = _test_against_smaller(cases, before, h, held)
+        before, stands = _test_against_smaller(problem, before, h)
         if not stands and promises:
-            moved = _restart_for_gain(cases, before, h.point, held)
-            if moved is not h.point and is_plausible(cases, moved, before):
+            moved = _restart_for_gain(problem, before, h.point)
+            if moved is not h.point and is_plausible(problem, moved, before):
                 h = Hypothesis(h.added, moved)
-                before, stands = _test_against_smaller(cases, before, h, held)
+                before, stands = _test_against_smaller(problem, before, h)
         if stands:
             winner = h
             break

@@ -19,7 +19,7 @@ from twin.diagnosis.residual_torque import MissingTorque
 from twin.effects.catalogue import EFFECTS, pages
 from twin.estimation import likelihood, preparation
 from twin.estimation.fit import Fit
-from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.model import equations
 from twin.model.stepper import Structure
 
@@ -171,13 +171,12 @@ def offset_starts(base: Fit, candidates: Sequence[str]) -> list[dict[str, float]
     return [preparation.complete_values(longer, {**base.values, **row}) for row in rows]
 
 
-def fit_to_free_motion(cases: Sequence[PreparedRecording], base: Fit) -> Fit | None:
+def fit_to_free_motion(problem: FitProblem, base: Fit) -> Fit | None:
     """The base with what it does where the axis moves freely, if that is to push several times as hard or as little.
 
     What holds the axis, stops or dry friction, and is missing, leads a fit to a drive that does nothing.
     """
-    mine = preparation.with_internal_step(cases, base.structure)
-    longest = max(mine, key=lambda c: c.drive.time[-1])
+    longest = max(problem.recordings, key=lambda c: c.drive.time[-1])
     missing = residual_torque.missing_torque(longest, base.structure, base.values)
     states = _moving_averages(missing)
     low, high = float(np.nanmin(missing.position)), float(np.nanmax(missing.position))
@@ -197,21 +196,20 @@ def fit_to_free_motion(cases: Sequence[PreparedRecording], base: Fit) -> Fit | N
     values, pushed = _base_values_from(base, sizes), base.values["input_gain"]
     if pushed / thresholds.MAX_GAIN_RATIO < values["input_gain"] < pushed * thresholds.MAX_GAIN_RATIO:
         return None
-    found = likelihood.evaluate(mine, base.structure, values, base.process_noise, base.free)
+    found = likelihood.evaluate(problem.at(base.process_noise), base.structure, values, base.free)
     return found if math.isfinite(found.deviance) else None
 
 
-def ranked_by_torque(cases: Sequence[PreparedRecording], base: Fit, candidates: Sequence[str]) -> list[TorqueFollower]:
+def ranked_by_torque(problem: FitProblem, base: Fit, candidates: Sequence[str]) -> list[TorqueFollower]:
     """The candidates that foretell more of what the base lacks than it could do itself, the best first."""
-    mine = preparation.with_internal_step(cases, base.structure)
-    longest = max(mine, key=lambda c: c.drive.time[-1])
+    longest = max(problem.recordings, key=lambda c: c.drive.time[-1])
     states = _moving_averages(residual_torque.missing_torque(longest, base.structure, base.values))
     if len(states["time"]) < _MIN_AVERAGES:
         return []
     torque, turn = states["torque"], (states["time"] / _BLOCK_LENGTH).astype(np.intp) % _FOLDS
     # What is transmitted as far as the base knows: what is missing moves the axis, too, and would follow itself.
     states["transmitted"] = base.values["input_gain"] * states["input"]
-    trials = screening.trial_grids(mine, base.structure, base.values)
+    trials = screening.trial_grids(problem, base.structure, base.values)
     own = _base_regressors(states)
     alone, _ = _cross_validated_regression(own, torque, turn)
     found = []

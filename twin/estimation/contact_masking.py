@@ -16,7 +16,6 @@ known before any model is, so that all models are judged by the same.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from twin.estimation import filter_memory, likelihood
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 
 #: Standard deviations of a meeting's moment, before and after it, in which nothing is judged.
 _CONTACT_DEVIATIONS = 2.0
@@ -101,17 +101,17 @@ def find_first_contact(case: PreparedRecording) -> NDArray[np.bool_] | None:
     return np.asarray(time < time[max(pushes[0], moved[0])] + _RATTLE_INTERVAL)
 
 
-def without_contact_mask(cases: Sequence[PreparedRecording]) -> list[PreparedRecording]:
-    """The cases with every reading judged where the motor does not rattle."""
-    return [replace(c, contact_mask=None) for c in cases]
+def without_contact_mask(problem: FitProblem) -> FitProblem:
+    """The problem with every reading judged where the motor does not rattle."""
+    return problem.on([replace(c, contact_mask=None) for c in problem.recordings])
 
 
-def with_contact_mask(cases: Sequence[PreparedRecording], point: Fit) -> list[PreparedRecording]:
-    """The cases, judged only where the model at this point can foresee whether motor and link touch."""
+def with_contact_mask(problem: FitProblem, point: Fit) -> FitProblem:
+    """The problem, judged only where the model at this point can foresee whether motor and link touch."""
     if not point.structure.toothed:
-        return without_contact_mask(cases)
+        return without_contact_mask(problem)
     out = []
-    for case in cases:
+    for case in problem.stepped(point.structure):
         hidden = _unforeseeable_contacts(case, point)
         out.append(replace(case, contact_mask=hidden if 0.0 < hidden.mean() <= MAX_MASKED_SHARE else None))
-    return out
+    return problem.on(out)

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from twin.estimation import filter_memory, numerics
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.model import sensor
 from twin.model.stepper import STATES, Structure
 from twin.parallel import each
@@ -182,20 +183,28 @@ _CACHE_SIZE = 4000
 
 @numerics.ignore_overflow()
 def evaluate(
-    cases: Sequence[PreparedRecording], structure: Structure, values: Mapping[str, float], process_noise: float,
+    problem: FitProblem, structure: Structure, values: Mapping[str, float],
     free: tuple[str, ...] = (), stretch: float = BLOCK_LENGTH,
 ) -> Fit:  # fmt: skip
     """Deviance, gradient and information at these values; errors further apart than `stretch` (s), or less where
     little is judged, are independent.
     """
-    key = (tuple(c.digest for c in cases), structure, tuple(sorted(values.items())), process_noise, free, stretch)
+    cases = problem.stepped(structure)
+    key = (
+        tuple(c.digest for c in cases),
+        structure,
+        tuple(sorted(values.items())),
+        problem.process_noise,
+        free,
+        stretch,
+    )
     found = _CACHE.pop(key, None)
     if found is None and _drive_moves_axis(cases, values) and _within_stops(cases, values):
         # Slopes take the memory: of long recordings the errors come first, then the slopes piece by piece.
         seen = () if sum(len(c.drive.time) for c in cases) > MAX_STAMPS_AT_ONCE else free
-        results = [innovations(c, structure, values, process_noise, seen) for c in cases]
-        found = fit_from_innovations(cases, structure, values, process_noise, free, results, stretch)
-    _CACHE[key] = found = found or _not_runnable(structure, values, process_noise, free)
+        results = [innovations(c, structure, values, problem.process_noise, seen) for c in cases]
+        found = fit_from_innovations(problem, structure, values, free, results, stretch)
+    _CACHE[key] = found = found or _not_runnable(structure, values, problem.process_noise, free)
     if len(_CACHE) > _CACHE_SIZE:
         _CACHE.popitem(last=False)
     return found
@@ -211,10 +220,9 @@ def _not_runnable(
 
 @numerics.ignore_overflow()
 def fit_from_innovations(
-    cases: Sequence[PreparedRecording],
+    problem: FitProblem,
     structure: Structure,
     values: Mapping[str, float],
-    process_noise: float,
     free: tuple[str, ...],
     results: Sequence[Innovations],
     stretch: float = BLOCK_LENGTH,
@@ -222,45 +230,39 @@ def fit_from_innovations(
     """What `evaluate` makes of innovations, which are run once more where their slopes were not kept."""
     n, compiled = len(free), kernel.compiled()
     squares, logs, count, judged = np.empty(sum(len(r.error) for r in results)), 0.0, 0, 0.0
-    for case, r in zip(cases, results, strict=True):
+    for case, r in zip(problem.recordings, results, strict=True):
         read, own = compiled.normalising(r.error, r.variance, squares[count:])
         judged += read / len(r.error) * float(case.drive.time[-1])
         logs += own
         count += read
     if count == 0:
-        return _not_runnable(structure, values, process_noise, free)
+        return _not_runnable(structure, values, problem.process_noise, free)
     scale, loss = compiled.scaling(squares[:count], HUBER_LIMIT)
     if not math.isfinite(scale):
-        return _not_runnable(structure, values, process_noise, free)
+        return _not_runnable(structure, values, problem.process_noise, free)
     deviance = loss + logs + count * math.log(scale)
     # A short recording has short stretches: were its scatter not looked at it would speak for whatever is largest.
     stretch = min(stretch, judged / (n + SPARE_BLOCKS + 1))
     kept = results if all(r.slopes.shape[1] == n for r in results) else None
-    pulls, weights = _scores_by_block(cases, structure, values, process_noise, free, scale, kept, stretch)
+    fit = Fit(structure, dict(values), problem.process_noise, free, deviance, scale, np.eye(n), np.zeros(n), np.eye(n))
+    pulls, weights = _scores_by_block(problem, fit, kept, stretch)
     normal, gradient, scatter = weights.sum(axis=0), pulls.sum(axis=0), pulls.T @ pulls
     if not np.all(np.isfinite(normal)) or not np.all(np.isfinite(gradient)):
-        return _not_runnable(structure, values, process_noise, free)
+        return _not_runnable(structure, values, problem.process_noise, free)
     # The maximum has used up a stretch for each parameter (MacKinnon and White, J. Econometrics 29, 1985).
     stretches = len(pulls)
     scatter = scatter * (stretches / (stretches - n)) if stretches > n + SPARE_BLOCKS else normal
-    return Fit(structure, dict(values), process_noise, free, deviance, scale, normal, gradient, scatter)
+    return replace(fit, information=normal, gradient=gradient, scatter=scatter)
 
 
 def _scores_by_block(
-    cases: Sequence[PreparedRecording],
-    structure: Structure,
-    values: Mapping[str, float],
-    process_noise: float,
-    free: tuple[str, ...],
-    scale: float,
-    results: Sequence[Innovations] | None,
-    stretch: float,
+    problem: FitProblem, fit: Fit, results: Sequence[Innovations] | None, stretch: float
 ) -> tuple[FloatArray, FloatArray]:
     """Slope (M, n) of the log-likelihood and information (M, n, n) of each stretch in which something was read.
 
     Without results the recordings are run again, piece by piece.
     """
-    n = len(free)
+    n, cases = len(fit.free), problem.stepped(fit.structure)
     if not n:
         return np.zeros((0, 0)), np.zeros((0, 0, 0))
     blocks, count = [], 0
@@ -272,28 +274,26 @@ def _scores_by_block(
     for i, (case, block) in enumerate(zip(cases, blocks, strict=True)):
         begin = 0
         runs = (
-            innovations_in_pieces(case, structure, values, process_noise, free, MAX_STAMPS_AT_ONCE)
+            innovations_in_pieces(case, fit.structure, fit.values, fit.process_noise, fit.free, MAX_STAMPS_AT_ONCE)
             if results is None
             else iter([results[i]])
         )
         for r in runs:
             at = block[begin : begin + len(r.error)]
-            gather(r.error, r.variance * scale, HUBER_LIMIT, at, r.slopes, pulls, weights, read)
+            gather(r.error, r.variance * fit.scale, HUBER_LIMIT, at, r.slopes, pulls, weights, read)
             begin += len(r.error)
     lower = np.tril(weights[read > 0])
     return pulls[read > 0], lower + np.tril(lower, -1).transpose(0, 2, 1)
 
 
 @numerics.ignore_overflow()
-def jackknife_covariance(cases: Sequence[PreparedRecording], point: Fit, stretch: float = BLOCK_LENGTH) -> FloatArray:
+def jackknife_covariance(problem: FitProblem, point: Fit, stretch: float = BLOCK_LENGTH) -> FloatArray:
     """The point's, by leaving out each stretch (s) in turn.
 
     A parameter that a few stretches decide bends to what these happen to say, and the errors there look small: the
     estimate without a stretch tells how much hangs on it (jackknife; MacKinnon and White, J. Econometrics 29, 1985).
     """
-    pulls, weights = _scores_by_block(
-        cases, point.structure, point.values, point.process_noise, point.free, point.scale, None, stretch
-    )
+    pulls, weights = _scores_by_block(problem, point, None, stretch)
     plain = point.covariance
     if len(pulls) <= 2 * len(point.free):
         return plain
@@ -308,10 +308,9 @@ def jackknife_covariance(cases: Sequence[PreparedRecording], point: Fit, stretch
 
 
 def deviances(
-    cases: Sequence[PreparedRecording],
+    problem: FitProblem,
     structure: Structure,
     trials: Sequence[Mapping[str, float]],
-    process_noise: float,
 ) -> list[float]:
     """The deviance at each of many values."""
-    return each(lambda v: evaluate(cases, structure, v, process_noise).deviance, trials)
+    return each(lambda v: evaluate(problem, structure, v).deviance, trials)

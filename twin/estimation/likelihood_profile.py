@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.estimation import numerics, optimizer, parameter_bounds
 from twin.estimation.fit import Fit
-from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 
 FloatArray = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ def _shifted_by_powers(point: Fit, name: str, value: float, powers: Mapping[str,
 
 
 def profile_interval(
-    cases: Sequence[PreparedRecording], point: Fit, name: str, std: float, powers: Mapping[str, float]
+    problem: FitProblem, point: Fit, name: str, std: float, powers: Mapping[str, float]
 ) -> tuple[float, float]:
     """95 % interval of a free parameter from the profile of the likelihood, all others refitted.
 
@@ -67,7 +67,7 @@ def profile_interval(
             [_shifted_by_powers(near, name, value, powers)] if powers else []
         )
         reached = [
-            optimizer.levenberg_marquardt(cases, point.structure, begin, point.process_noise, free, PROFILE_STEPS)
+            optimizer.levenberg_marquardt(problem.at(point.process_noise), point.structure, begin, free, PROFILE_STEPS)
             for begin in begun
         ]
         return min(reached, key=lambda p: p.deviance)

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 
 from twin.estimation import filter_memory, multistart, optimizer, preparation
 from twin.estimation.fit import Fit
-from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem, free_parameters
 from twin.model.stepper import Structure
 from twin.parallel import each
 
@@ -22,68 +22,60 @@ MIN_MEMORY = 0.1
 PROCESS_NOISE_TOLERANCE = 1.5
 
 
-def judging_process_noise(cases: Sequence[PreparedRecording], point: Fit) -> float:
+def judging_process_noise(problem: FitProblem, point: Fit) -> float:
     """The noise density at which the first round is judged."""
-    return min(filter_memory.process_noise_of(cases[0], MIN_MEMORY), point.process_noise)
+    return min(filter_memory.process_noise_of(problem.recordings[0], MIN_MEMORY), point.process_noise)
 
 
 def refit(
-    cases: Sequence[PreparedRecording],
+    problem: FitProblem,
     structure: Structure,
     values: Mapping[str, float],
-    held: Mapping[str, float],
-    process_noise: float,
 ) -> Fit:
     """The maximum near these values at a noise density, with everything free that is not held."""
     structure = preparation.with_tooth_compliance(structure)
-    mine = preparation.with_internal_step(cases, structure)
-    free = tuple(n for n in preparation.free_parameters(structure) if n not in held)
-    full = preparation.complete_values(structure, values) | dict(held)
-    return optimizer.levenberg_marquardt(mine, structure, full, process_noise, free, tolerance=0.2)
+    full = preparation.complete_values(structure, values) | dict(problem.held)
+    return optimizer.levenberg_marquardt(problem, structure, full, problem.free(structure), tolerance=0.2)
 
 
 def best_refit(
-    cases: Sequence[PreparedRecording],
+    problem: FitProblem,
     structure: Structure,
     starts: Sequence[Mapping[str, float]],
-    held: Mapping[str, float],
-    process_noise: float,
 ) -> Fit:
     """The likeliest of the maxima near several values."""
-    return min(each(lambda v: refit(cases, structure, v, held, process_noise), starts), key=lambda p: p.deviance)
+    return min(each(lambda v: refit(problem, structure, v), starts), key=lambda p: p.deviance)
 
 
 def held_values(point: Fit) -> dict[str, float]:
     """What could be estimated and was not free: it stays as it is."""
-    return {n: point.values[n] for n in preparation.free_parameters(point.structure) if n not in point.free}
+    return {n: point.values[n] for n in free_parameters(point.structure) if n not in point.free}
 
 
-def refit_at_own_noise(cases: Sequence[PreparedRecording], point: Fit, held: Mapping[str, float]) -> Fit:
+def refit_at_own_noise(problem: FitProblem, point: Fit) -> Fit:
     """The maximum at the noise density that the model asks for, now that it lacks less."""
-    mine = preparation.with_internal_step(cases, point.structure)
-    likeliest = optimizer.most_likely_process_noise(mine, point.structure, point.values, around=point.process_noise)
-    process_noise = min(filter_memory.process_noise_of(cases[0], MIN_MEMORY), likeliest, point.process_noise)
+    likeliest = optimizer.most_likely_process_noise(problem, point.structure, point.values, around=point.process_noise)
+    process_noise = min(
+        filter_memory.process_noise_of(problem.recordings[0], MIN_MEMORY), likeliest, point.process_noise
+    )
     if 1.0 / PROCESS_NOISE_TOLERANCE < process_noise / point.process_noise < PROCESS_NOISE_TOLERANCE:
         return point
-    return refit(cases, point.structure, point.values, held, process_noise)
+    return refit(problem.at(process_noise), point.structure, point.values)
 
 
 def restart_tooth_stiffness(
-    cases: Sequence[PreparedRecording],
+    problem: FitProblem,
     structure: Structure,
     values: Mapping[str, float],
-    held: Mapping[str, float],
-    process_noise: float,
 ) -> Fit:
     """The maximum near these values with teeth that are looked for anew."""
     structure = preparation.with_tooth_compliance(structure)
-    mine = preparation.with_internal_step(cases, structure)
-    seen = multistart.excerpts(mine, structure)
-    begun = multistart.best_tooth_start(seen, structure, preparation.complete_values(structure, values), process_noise)
-    return refit(cases, structure, begun, held, process_noise)
+    seen = multistart.excerpts(problem, structure)
+    begun = multistart.best_tooth_start(seen, structure, preparation.complete_values(structure, values))
+    return refit(problem, structure, begun)
 
 
-def restart_gap(cases: Sequence[PreparedRecording], point: Fit, held: Mapping[str, float]) -> Fit:
+def restart_gap(problem: FitProblem, point: Fit) -> Fit:
     """The point, or a better one where gap, shares and teeth are looked for anew.
 
     What was missing until now may have led them astray, and no slope leads back.
@@ -91,32 +83,32 @@ def restart_gap(cases: Sequence[PreparedRecording], point: Fit, held: Mapping[st
     if not point.structure.toothed:
         return point
     rigid = point.structure.without("tooth_compliance")
-    seen = multistart.excerpts(preparation.with_internal_step(cases, rigid), rigid)
+    seen = multistart.excerpts(problem, rigid)
 
     def looked(memory: float) -> Fit:
-        rough = multistart.coarse_fit(seen, rigid, preparation.complete_values(rigid, point.values), held, memory)
+        rough = multistart.coarse_fit(seen, rigid, preparation.complete_values(rigid, point.values), memory)
         return restart_tooth_stiffness(
-            cases, point.structure, {**point.values, **rough.values}, held, point.process_noise
+            problem.at(point.process_noise), point.structure, {**point.values, **rough.values}
         )
 
     return min([point, *each(looked, multistart.COARSE_MEMORIES)], key=lambda p: p.deviance)
 
 
-def refit_through_best_noise(cases: Sequence[PreparedRecording], point: Fit, held: Mapping[str, float]) -> Fit:
+def refit_through_best_noise(problem: FitProblem, point: Fit) -> Fit:
     """The point, or a better one by way of the noise density that the recording asks for, where valleys are wider."""
-    mine = preparation.with_internal_step(cases, point.structure)
     likeliest = optimizer.fit_with_process_noise(
-        mine, point.structure, point.values, point.free, point.process_noise, rounds=12
+        problem.at(point.process_noise), point.structure, point.values, point.free, rounds=12
     )
-    other = refit(cases, point.structure, likeliest.values, held, point.process_noise)
+    other = refit(problem.at(point.process_noise), point.structure, likeliest.values)
     return min(point, other, key=lambda p: p.deviance)
 
 
-def with_longer_memory(cases: Sequence[PreparedRecording], point: Fit) -> Fit:
+def with_longer_memory(problem: FitProblem, point: Fit) -> Fit:
     """The point, with a longer memory where the recording asks for one: the model then is right for longer."""
-    mine = preparation.with_internal_step(cases, point.structure)
-    process_noise = optimizer.most_likely_process_noise(mine, point.structure, point.values, around=point.process_noise)
+    process_noise = optimizer.most_likely_process_noise(
+        problem, point.structure, point.values, around=point.process_noise
+    )
     if process_noise > 0.8 * point.process_noise:
         return point
-    found = optimizer.fit_with_process_noise(mine, point.structure, point.values, point.free, process_noise)
+    found = optimizer.fit_with_process_noise(problem.at(process_noise), point.structure, point.values, point.free)
     return found if found.process_noise < point.process_noise else point

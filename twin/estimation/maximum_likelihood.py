@@ -25,7 +25,7 @@ from twin.estimation import (
     preparation,
 )
 from twin.estimation.fit import Fit
-from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording, known_quantities, to_fit, told_of
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
@@ -65,7 +65,7 @@ def _remedy(name: str, partner: str) -> str:
     return "add steps at more duties, coast-downs and slow ramps"
 
 
-def roughness(cases: Sequence[PreparedRecording], point: Fit) -> float:
+def roughness(problem: FitProblem, point: Fit) -> float:
     """How much the deviance changes, in the median, where teeth and gap change by next to nothing.
 
     Where a motor rattles on and on, every bounce depends on all those before: each value has a likelihood of its own,
@@ -77,25 +77,21 @@ def roughness(cases: Sequence[PreparedRecording], point: Fit) -> float:
     if not changes:
         return 0.0
     trembled = [{**point.values, n: point.values[n] + change} for n, change in changes]
-    found = likelihood.deviances(
-        preparation.with_internal_step(cases, point.structure), point.structure, trembled, point.process_noise
-    )
+    found = likelihood.deviances(problem.at(point.process_noise), point.structure, trembled)
     rise = np.array(found) - point.deviance
     own = [point.free.index(n) for n, _ in changes]
     promised = np.diag(point.information)[own] * np.array([change for _, change in changes]) ** 2
     return float(np.median(np.minimum(np.abs(rise), np.abs(rise - promised))))
 
 
-def to_model(
-    cases: Sequence[PreparedRecording], point: Fit, recordings: Sequence[Recording], held: Mapping[str, float]
-) -> Model:
+def to_model(problem: FitProblem, point: Fit, recordings: Sequence[Recording]) -> Model:
     """The point as a model, with standard errors and where it comes from."""
-    covariance = likelihood.jackknife_covariance(preparation.with_internal_step(cases, point.structure), point)
+    covariance = likelihood.jackknife_covariance(problem, point)
     # Where the likelihood is rough the highest of its peaks lies anywhere within so much of the parabola's top.
     seen = np.isfinite(covariance)
-    covariance[seen] += roughness(cases, point) / 3.0 * point.covariance[seen]
+    covariance[seen] += roughness(problem, point) / 3.0 * point.covariance[seen]
     first = recordings[0]
-    variance = cases[0].reading_variance * point.scale
+    variance = problem.recordings[0].reading_variance * point.scale
     known = {k: v for k, v in known_quantities(first).items() if v}
     return Model(
         structure=point.structure,
@@ -114,7 +110,7 @@ def to_model(
         provenance={
             "method": "joint",
             "recordings": ", ".join(r.name for r in recordings),
-            **({"held": ", ".join(held)} if held else {}),
+            **({"held": ", ".join(problem.held)} if problem.held else {}),
         },
     )
 
@@ -134,40 +130,35 @@ def for_horizon(model: Model, recordings: Sequence[Recording], horizon: float, c
         raise BadInput("the model holds no estimate to start from: make it with twin identify")
     train = to_fit(recordings)
     structure = model.structure
-    open_ = multistart.choose_initial_contacts(
-        preparation.prepare_recordings(train, structure), structure, model.values
-    )
-    cases = preparation.with_internal_step(open_, structure)
-    if closed:
-        under = preparation.prepare_recordings(train, structure, closed)
-        cases = preparation.with_internal_step(
-            [replace(c, contact=o.contact) for c, o in zip(under, open_, strict=True)], structure
-        )
     process_noise = model.torque_density / model.reading_std**2
-    longest = min(horizon, max(float(c.drive.time[-1]) for c in cases))
+    problem = preparation.prepare_recordings(train, structure).at(process_noise)
+    problem = multistart.choose_initial_contacts(problem, structure, model.values)
+    if closed:
+        under = preparation.prepare_recordings(train, structure, closed=True).recordings
+        contacts = [c.contact for c in problem.recordings]
+        problem = problem.on([replace(c, contact=at) for c, at in zip(under, contacts, strict=True)])
+    longest = min(horizon, max(float(c.drive.time[-1]) for c in problem.recordings))
 
     def deviance(point: Fit) -> float:
         return point.deviance
 
-    def windows(span: float) -> list[PreparedRecording]:
-        return [likelihood.with_free_runs(c, process_noise, span) for c in cases]
+    def windows(span: float) -> FitProblem:
+        return problem.on([likelihood.with_free_runs(c, process_noise, span) for c in problem.recordings])
 
     goal = windows(longest)
-    best = likelihood.evaluate(goal, structure, model.values, process_noise, model.fitted)
+    best = likelihood.evaluate(goal, structure, model.values, model.fitted)
     values: Mapping[str, float] = model.values
-    span = 2.0 * max(filter_memory.memory_of(c, process_noise) for c in cases)
+    span = 2.0 * max(filter_memory.memory_of(c, process_noise) for c in problem.recordings)
     while span < longest:
-        values = optimizer.levenberg_marquardt(
-            windows(span), structure, values, process_noise, model.fitted, rounds=15
-        ).values
-        trial = likelihood.evaluate(goal, structure, values, process_noise, model.fitted)
+        values = optimizer.levenberg_marquardt(windows(span), structure, values, model.fitted, rounds=15).values
+        trial = likelihood.evaluate(goal, structure, values, model.fitted)
         best = min(best, trial, key=deviance)
         span *= 2.0
     for begin in (values, best.values):
-        trial = optimizer.levenberg_marquardt(goal, structure, begin, process_noise, model.fitted)
+        trial = optimizer.levenberg_marquardt(goal, structure, begin, model.fitted)
         best = min(best, trial, key=deviance)
     # Errors of one run hang together: stretches as long as the run, but several for every parameter.
-    whole = sum(float(c.drive.time[-1]) for c in cases)
+    whole = sum(float(c.drive.time[-1]) for c in problem.recordings)
     stretch = min(longest, whole / (4.0 * len(model.fitted)))
     covariance = likelihood.jackknife_covariance(goal, best, stretch)
     return replace(
@@ -180,11 +171,13 @@ def for_horizon(model: Model, recordings: Sequence[Recording], horizon: float, c
     )
 
 
-def _profile_intervals(cases: Sequence[PreparedRecording], point: Fit, model: Model) -> dict[str, tuple[float, float]]:
+def _profile_intervals(problem: FitProblem, point: Fit, model: Model) -> dict[str, tuple[float, float]]:
     """95 % intervals of the parameters for which a standard error is not enough."""
     powers = {"backlash_gap": multistart.RIDGE_POWERS}
     names = [n for n in PROFILED if n in point.free]
-    ends = each(lambda n: likelihood_profile.profile_interval(cases, point, n, model.std(n), powers.get(n, {})), names)
+    ends = each(
+        lambda n: likelihood_profile.profile_interval(problem, point, n, model.std(n), powers.get(n, {})), names
+    )
     found = dict(zip(names, ends, strict=True))
     if {"backlash_gap", "motor_share"} <= set(point.free) and math.isfinite(model.std("motor_share")):
         # Along the ridge the motor's share goes with the gap, and so it is no better known.
@@ -206,11 +199,11 @@ def identify(
     train = to_fit(recordings)
     tell("a coarse fit", 0.0)
     held = dict(held or {})
-    cases, begun = multistart.coarse_starts(train, structure, held)
+    problem, begun = multistart.coarse_starts(train, structure, held)
     tell("the full likelihood", 0.3)
-    point = multistart.fit_from_starts(cases, preparation.with_tooth_compliance(structure), begun, held)
+    point = multistart.fit_from_starts(problem.holding(held), preparation.with_tooth_compliance(structure), begun)
     tell("leaving local valleys", 0.75)
-    cases, point = multistart.leave_local_optima(cases, point)
-    model = to_model(cases, point, train, held)
+    problem, point = multistart.leave_local_optima(problem, point)
+    model = to_model(problem.holding(held), point, train)
     tell("profiles of the likelihood", 0.85)
-    return replace(model, intervals=_profile_intervals(cases, point, model))
+    return replace(model, intervals=_profile_intervals(problem, point, model))

@@ -31,6 +31,7 @@ from twin.estimation import (
 from twin.estimation.fit import Fit
 from twin.estimation.initial_values import start_values
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording
 from twin.model import equations
 from twin.model.stepper import Structure
@@ -79,49 +80,46 @@ def _in_axis_units(
 
 
 def _grid_search(
-    cases: Sequence[PreparedRecording], structure: Structure, values: Mapping[str, float], process_noise: float,
+    problem: FitProblem, structure: Structure, values: Mapping[str, float],
     grid: Mapping[str, Iterable[float]], keep: int,
 ) -> list[dict[str, float]]:  # fmt: skip
     """The best few points of a grid, by deviance."""
     trials = [{**values, **dict(zip(grid, point, strict=True))} for point in itertools.product(*grid.values())]
-    found = likelihood.deviances(cases, structure, trials, process_noise)
+    found = likelihood.deviances(problem, structure, trials)
     return [trials[i] for i in np.argsort(found, kind="stable")[:keep]]
 
 
 def coarse_fit(
-    cases: Sequence[PreparedRecording],
+    problem: FitProblem,
     structure: Structure,
     values: Mapping[str, float],
-    held: Mapping[str, float],
     memory: float,
 ) -> Fit:
     """A point in the right valley, by steps (1) and (2), for contact without compliance and a filter's memory (s)."""
-    process_noise = filter_memory.process_noise_of(cases[0], memory)
+    problem = problem.at(filter_memory.process_noise_of(problem.recordings[0], memory))
     rigid = structure.without("tooth_compliance")
-    free = tuple(n for n in preparation.free_parameters(rigid) if n not in held)
+    free = problem.free(rigid)
     core = tuple(n for n in free if n not in _COARSE_GRID)
-    point = optimizer.levenberg_marquardt(cases, rigid, values, process_noise, core, rounds=12, tolerance=1.0)
-    grid = {n: v for n, v in _in_axis_units(_COARSE_GRID, cases).items() if n in free}
+    point = optimizer.levenberg_marquardt(problem, rigid, values, core, rounds=12, tolerance=1.0)
+    grid = {n: v for n, v in _in_axis_units(_COARSE_GRID, problem.recordings).items() if n in free}
     if not grid:
         return point
     best = point
-    for begin in _grid_search(cases, rigid, point.values, process_noise, grid, keep=2):
-        trial = optimizer.levenberg_marquardt(cases, rigid, begin, process_noise, core, rounds=4, tolerance=1.0)
-        trial = optimizer.levenberg_marquardt(cases, rigid, trial.values, process_noise, free, rounds=15, tolerance=1.0)
+    for begin in _grid_search(problem, rigid, point.values, grid, keep=2):
+        trial = optimizer.levenberg_marquardt(problem, rigid, begin, core, rounds=4, tolerance=1.0)
+        trial = optimizer.levenberg_marquardt(problem, rigid, trial.values, free, rounds=15, tolerance=1.0)
         if trial.deviance < best.deviance:
             best = trial
     return best
 
 
-def excerpts(
-    cases: Sequence[PreparedRecording], structure: Structure, lasting: float = _EXCERPT_LENGTH
-) -> list[PreparedRecording]:
+def excerpts(problem: FitProblem, structure: Structure, lasting: float = _EXCERPT_LENGTH) -> FitProblem:
     """Parts of the recordings that last so long (s), spread evenly; a short recording is one part, and so is any whose
     physics counts the time since its start."""
     if equations.timed(structure):
-        return list(cases)
+        return problem
     parts = []
-    for case in cases:
+    for case in problem.stepped(structure):
         end = float(case.recording.time[-1])
         if end <= _EXCERPTS * lasting:
             parts.append(case)
@@ -133,17 +131,15 @@ def excerpts(
         full = full[full <= max(end - lasting, full[0])]
         begins = full[np.linspace(0, len(full) - 1, _EXCERPTS).astype(int)].tolist()
         parts += [preparation.excerpt(case, structure, begin, begin + lasting) for begin in begins]
-    return parts
+    return problem.on(parts)
 
 
-def choose_initial_contacts(
-    cases: Sequence[PreparedRecording], structure: Structure, values: Mapping[str, float]
-) -> list[PreparedRecording]:
+def choose_initial_contacts(problem: FitProblem, structure: Structure, values: Mapping[str, float]) -> FitProblem:
     """Where in the gap each motor starts, by the likelihood of its first seconds."""
     if "backlash" not in structure:
-        return list(cases)
+        return problem
     chosen = []
-    for case in cases:
+    for case in problem.recordings:
         shown = 0.0 if case.start_mask is None else float(case.drive.time[case.start_mask][-1]) + _CONTACT_MARGIN
         first = preparation.excerpt(
             case, structure, 0.0, min(max(_CONTACT_DURATION, shown), float(case.recording.time[-1]))
@@ -151,32 +147,38 @@ def choose_initial_contacts(
         first = replace(first, start_mask=None)
         process_noise = filter_memory.process_noise_of(first, COARSE_MEMORIES[0])
         scored = [
-            (likelihood.evaluate([replace(first, contact=s)], structure, values, process_noise).deviance, s)
+            (
+                likelihood.evaluate(
+                    FitProblem([replace(first, contact=s)], {}, process_noise), structure, values
+                ).deviance,
+                s,
+            )
             for s in (case.contact, *_CONTACT_GRID)
         ]
         chosen.append(replace(case, contact=min(scored, key=lambda pair: pair[0])[1]))
-    return chosen
+    return problem.on(chosen)
 
 
 def coarse_starts(
     recordings: Sequence[Recording], structure: Structure, held: Mapping[str, float]
-) -> tuple[list[PreparedRecording], list[Fit]]:
-    """Cases, and coarse points of the structure without compliant teeth; `held` parameters keep their value."""
+) -> tuple[FitProblem, list[Fit]]:
+    """The problem, and coarse points of the structure without compliant teeth; `held` parameters keep their value."""
     rigid = structure.without("tooth_compliance")
-    cases = preparation.prepare_recordings(recordings, rigid)
-    values = {**start_values(cases, rigid), **held}
-    seen = excerpts(cases, rigid)
-    points = each(lambda m: coarse_fit(seen, rigid, values, held, m), COARSE_MEMORIES)
-    return choose_initial_contacts(cases, rigid, points[0].values), points
+    problem = preparation.prepare_recordings(recordings, rigid, held)
+    values = {**start_values(problem.recordings, rigid), **held}
+    seen = excerpts(problem, rigid)
+    points = each(lambda m: coarse_fit(seen, rigid, values, m), COARSE_MEMORIES)
+    return choose_initial_contacts(problem, rigid, points[0].values), points
 
 
-def _shortest_memory(cases: Sequence[PreparedRecording]) -> float:
+def _shortest_memory(problem: FitProblem) -> float:
     """The memory of the filter from which on it is lengthened, s."""
-    return max(_SHORTEST_MEMORY, *(filter_memory.memory_of(c, filter_memory.largest_process_noise([c])) for c in cases))
+    shortest = (filter_memory.memory_of(c, filter_memory.largest_process_noise([c])) for c in problem.recordings)
+    return max(_SHORTEST_MEMORY, *shortest)
 
 
 def _fit_by_lengthening_memory(
-    cases: Sequence[PreparedRecording], structure: Structure, values: Mapping[str, float], free: tuple[str, ...]
+    problem: FitProblem, structure: Structure, values: Mapping[str, float], free: tuple[str, ...]
 ) -> Fit:
     """The likeliest point on the way from a filter that forgets at once to one that remembers for long.
 
@@ -184,13 +186,13 @@ def _fit_by_lengthening_memory(
     bounces and sees one wide valley of how hard motor and link meet; as it remembers more, this valley divides, and
     the climb stays in the part that it is in. Where the model is wrong, a short memory is the best that there is.
     """
-    shortest = _shortest_memory(cases)
+    shortest = _shortest_memory(problem)
     points: list[Fit] = []
     for rung in range(_MAX_LENGTHENINGS):
         memory = shortest * 2.0 ** (0.5 * rung)
-        process_noise = filter_memory.process_noise_of(cases[0], memory)
+        process_noise = filter_memory.process_noise_of(problem.recordings[0], memory)
         points.append(
-            optimizer.levenberg_marquardt(cases, structure, values, process_noise, free, rounds=15, tolerance=1.0)
+            optimizer.levenberg_marquardt(problem.at(process_noise), structure, values, free, rounds=15, tolerance=1.0)
         )
         values = points[-1].values
         if memory > _RINGING_TIME and min(p.deviance for p in points) < min(p.deviance for p in points[-2:]):
@@ -198,27 +200,27 @@ def _fit_by_lengthening_memory(
     return min(points, key=lambda p: p.deviance)
 
 
-def _evolved_starts(cases: Sequence[PreparedRecording], point: Fit) -> list[dict[str, float]]:
+def _evolved_starts(problem: FitProblem, point: Fit) -> list[dict[str, float]]:
     """Values with likely gaps, shares and teeth, far from each other, by differential evolution (Storn and Price, J.
     Global Optimization 11, 1997) at a short memory.
 
     Where a motor rattles the slopes lead from everywhere into valleys nearby, but the deviance tells what is near the
     truth from what is not; so many are tried, and the better ones mixed with each other.
     """
-    ranges = _in_axis_units(_EVOLUTION_RANGES, cases)
+    ranges = _in_axis_units(_EVOLUTION_RANGES, problem.recordings)
     names = [n for n in ranges if n in point.free]
     if len(names) < 2:
         return []
-    seen = excerpts(cases, point.structure)
-    process_noise = filter_memory.process_noise_of(
-        seen[0], max(_EVOLUTION_MEMORY, filter_memory.memory_of(seen[0], filter_memory.largest_process_noise(seen)))
-    )
+    seen = excerpts(problem, point.structure)
+    first, largest = seen.recordings[0], filter_memory.largest_process_noise(seen.recordings)
+    memory = max(_EVOLUTION_MEMORY, filter_memory.memory_of(first, largest))
+    seen = seen.at(filter_memory.process_noise_of(first, memory))
 
     def valued(x: NDArray[np.float64]) -> dict[str, float]:
         return {**point.values, **dict(zip(names, np.exp(x).tolist(), strict=True))}
 
     crowd = differential_evolution(
-        lambda x: np.array(likelihood.deviances(seen, point.structure, [valued(v) for v in x.T], process_noise)),
+        lambda x: np.array(likelihood.deviances(seen, point.structure, [valued(v) for v in x.T])),
         np.log([ranges[n] for n in names]),
         maxiter=_GENERATIONS,
         popsize=_POPULATION // len(names),
@@ -244,22 +246,16 @@ def _at_bounds(point: Fit) -> bool:
     return any(point.values[n] in pair for n, pair in bounds.items())
 
 
-def best_tooth_start(
-    cases: Sequence[PreparedRecording], structure: Structure, values: Mapping[str, float], process_noise: float
-) -> dict[str, float]:
+def best_tooth_start(problem: FitProblem, structure: Structure, values: Mapping[str, float]) -> dict[str, float]:
     """The values with the likeliest teeth that the structure allows."""
     if "tooth_compliance" not in structure:
         return dict(values)
-    return _grid_search(cases, structure, values, process_noise, _TOOTH_GRID, keep=1)[0]
+    return _grid_search(problem, structure, values, _TOOTH_GRID, keep=1)[0]
 
 
-def fit_from_starts(
-    cases: Sequence[PreparedRecording], structure: Structure, begun: Sequence[Fit], held: Mapping[str, float]
-) -> Fit:
+def fit_from_starts(problem: FitProblem, structure: Structure, begun: Sequence[Fit]) -> Fit:
     """The maximum of the full likelihood from coarse points, teeth included where the structure has them."""
-    mine = preparation.with_internal_step(cases, structure)
-    seen = excerpts(mine, structure, _LONG_EXCERPT_LENGTH)
-    free = tuple(n for n in preparation.free_parameters(structure) if n not in held)
+    seen, free = excerpts(problem, structure, _LONG_EXCERPT_LENGTH), problem.free(structure)
 
     def likeliest(starts: Iterable[dict[str, float]]) -> Fit:
         return min(
@@ -268,17 +264,17 @@ def fit_from_starts(
 
     best = likeliest(preparation.complete_values(structure, p.values) for p in begun)
     # Where the shortest memory is the best that there is, it is physics that is missing, not the right valley.
-    remembers = filter_memory.memory_of(seen[0], best.process_noise) > 1.1 * _shortest_memory(seen)
+    remembers = filter_memory.memory_of(seen.recordings[0], best.process_noise) > 1.1 * _shortest_memory(seen)
     if (
         remembers
         and (best.overdispersion > _ROUGH_OVERDISPERSION or _at_bounds(best))
-        and (bred := _evolved_starts(mine, best))
+        and (bred := _evolved_starts(problem, best))
     ):
         best = min(best, likeliest(bred), key=lambda p: p.deviance)
-    return optimizer.fit_with_process_noise(mine, structure, best.values, free, best.process_noise)
+    return optimizer.fit_with_process_noise(problem.at(best.process_noise), structure, best.values, free)
 
 
-def _dead_band_ridge(cases: Sequence[PreparedRecording], point: Fit) -> list[dict[str, float]]:
+def _dead_band_ridge(problem: FitProblem, point: Fit) -> list[dict[str, float]]:
     """Both sides of the dead-band moved together, gain and friction following: along this ridge of the likelihood
     there are valleys a tenth of a percent of the input apart, and a gradient stays in the first.
     """
@@ -288,7 +284,7 @@ def _dead_band_ridge(cases: Sequence[PreparedRecording], point: Fit) -> list[dic
     follow = -numerics.least_squares_solution(point.information[np.ix_(o, o)], point.information[np.ix_(o, d)]).sum(
         axis=1
     )
-    reach = 0.01 * max(float(np.max(np.abs(c.recording.input))) for c in cases)
+    reach = 0.01 * max(float(np.max(np.abs(c.recording.input))) for c in problem.recordings)
     trials = []
     for x in np.linspace(-reach, reach, 25).tolist():
         moved = {n: max(point.values[n] + x, 0.0) for n in _DEAD_BANDS}
@@ -297,7 +293,7 @@ def _dead_band_ridge(cases: Sequence[PreparedRecording], point: Fit) -> list[dic
     return trials
 
 
-def _gap_ridge(cases: Sequence[PreparedRecording], point: Fit) -> list[dict[str, float]]:
+def _gap_ridge(problem: FitProblem, point: Fit) -> list[dict[str, float]]:
     """A wider gap and a lighter motor: it takes as long to cross and hits the link as hard, so that the likelihood
     has a ridge there, and every bounce makes a valley across it.
     """
@@ -311,52 +307,53 @@ def _gap_ridge(cases: Sequence[PreparedRecording], point: Fit) -> list[dict[str,
     return [t for t in trials if parameter_bounds.within_bounds(t)]
 
 
-def _best_on_ridges(cases: Sequence[PreparedRecording], point: Fit) -> Fit:
+def _best_on_ridges(problem: FitProblem, point: Fit) -> Fit:
     """The best point that is reached from the ridges of the likelihood, which may be the same."""
     best = point
     for ridge in (_dead_band_ridge, _gap_ridge):
-        trials = ridge(cases, best)
+        trials = ridge(problem, best)
         if not trials:
             continue
-        found = likelihood.deviances(cases, best.structure, trials, best.process_noise)
+        found = likelihood.deviances(problem.at(best.process_noise), best.structure, trials)
         if min(found) < best.deviance + 10.0 * best.overdispersion:
             begin = trials[int(np.argmin(found))]
-            other = optimizer.levenberg_marquardt(cases, best.structure, begin, best.process_noise, best.free, rounds=8)
+            other = optimizer.levenberg_marquardt(
+                problem.at(best.process_noise), best.structure, begin, best.free, rounds=8
+            )
             best = min(best, other, key=lambda p: p.deviance)
     return best
 
 
-def refit_with_contact_mask(
-    cases: Sequence[PreparedRecording], point: Fit, most: float = math.inf
-) -> tuple[list[PreparedRecording], Fit]:
-    """The cases as they are judged by what the point can foresee, and the maximum near it, at a noise density of at
+def refit_with_contact_mask(problem: FitProblem, point: Fit, most: float = math.inf) -> tuple[FitProblem, Fit]:
+    """The problem as it is judged by what the point can foresee, and the maximum near it, at a noise density of at
     most so much.
     """
-    judged = contact_masking.with_contact_mask(cases, point)
-    if all(a.contact_mask is b.contact_mask for a, b in zip(judged, cases, strict=True)):
-        return list(cases), point
+    judged = contact_masking.with_contact_mask(problem, point)
+    if all(a.contact_mask is b.contact_mask for a, b in zip(judged.recordings, problem.recordings, strict=True)):
+        return problem, point
     return judged, optimizer.fit_with_process_noise(
-        judged, point.structure, point.values, point.free, point.process_noise, most=most
+        judged.at(point.process_noise), point.structure, point.values, point.free, most=most
     )
 
 
-def leave_local_optima(cases: Sequence[PreparedRecording], point: Fit) -> tuple[list[PreparedRecording], Fit]:
+def leave_local_optima(problem: FitProblem, point: Fit) -> tuple[FitProblem, Fit]:
     """Leave the local valleys that a climb from the coarse values ends in: meetings of motor and link that no model
     foresees, the contact at the start, the ridge.
     """
-    mine = preparation.with_internal_step(cases, point.structure)
-    if optimizer.is_misspecified(mine, point):
-        return mine, point
-    mine, point = refit_with_contact_mask(mine, point)
-    chosen = choose_initial_contacts(mine, point.structure, point.values)
-    if [c.contact for c in chosen] != [c.contact for c in mine]:
-        mine = chosen
+    if optimizer.is_misspecified(problem, point):
+        return problem, point
+    problem, point = refit_with_contact_mask(problem, point)
+    chosen = choose_initial_contacts(problem, point.structure, point.values)
+    if [c.contact for c in chosen.recordings] != [c.contact for c in problem.recordings]:
+        problem = chosen
         point = optimizer.levenberg_marquardt(
-            mine, point.structure, point.values, point.process_noise, point.free, rounds=15
+            problem.at(point.process_noise), point.structure, point.values, point.free, rounds=15
         )
     for _ in range(2):
-        other = _best_on_ridges(mine, point)
+        other = _best_on_ridges(problem, point)
         if other.deviance > point.deviance - point.overdispersion:
             break
-        point = optimizer.fit_with_process_noise(mine, point.structure, other.values, point.free, point.process_noise)
-    return refit_with_contact_mask(mine, point)
+        point = optimizer.fit_with_process_noise(
+            problem.at(point.process_noise), point.structure, other.values, point.free
+        )
+    return refit_with_contact_mask(problem, point)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twin.estimation import filter_memory, likelihood, numerics, parameter_bounds
 from twin.estimation.fit import Fit
-from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.model.stepper import Structure
 from twin.parallel import each
 
@@ -61,10 +61,9 @@ def _damped_step(point: Fit, damping: float) -> dict[str, float]:
 
 
 def levenberg_marquardt(
-    cases: Sequence[PreparedRecording],
+    problem: FitProblem,
     structure: Structure,
     values: Mapping[str, float],
-    process_noise: float,
     free: tuple[str, ...],
     rounds: int = 30,
     tolerance: float = 0.05,
@@ -73,12 +72,10 @@ def levenberg_marquardt(
 
     Stops when a step promises, or has brought, less than `tolerance` of what a unit of deviance is worth there.
     """
-    return levenberg_marquardt_from(
-        cases, likelihood.evaluate(cases, structure, values, process_noise, free), rounds, tolerance
-    )
+    return levenberg_marquardt_from(problem, likelihood.evaluate(problem, structure, values, free), rounds, tolerance)
 
 
-def levenberg_marquardt_from(cases: Sequence[PreparedRecording], best: Fit, rounds: int, tolerance: float) -> Fit:
+def levenberg_marquardt_from(problem: FitProblem, best: Fit, rounds: int, tolerance: float) -> Fit:
     """From a point that is known already."""
     damping, refused, wary = 1e-3, 0, False
     for _ in range(rounds):
@@ -91,11 +88,13 @@ def levenberg_marquardt_from(cases: Sequence[PreparedRecording], best: Fit, roun
         if promised < enough:
             return best
         # Where one step was refused half of the others are, too: these are looked at without their slopes first.
-        trial = likelihood.evaluate(cases, best.structure, trial_values, best.process_noise, () if wary else best.free)
+        trial = likelihood.evaluate(
+            problem.at(best.process_noise), best.structure, trial_values, () if wary else best.free
+        )
         gained = best.deviance - trial.deviance
         if gained > 0.0:
             best = (
-                likelihood.evaluate(cases, best.structure, trial_values, best.process_noise, best.free)
+                likelihood.evaluate(problem.at(best.process_noise), best.structure, trial_values, best.free)
                 if wary
                 else trial
             )
@@ -111,28 +110,28 @@ def levenberg_marquardt_from(cases: Sequence[PreparedRecording], best: Fit, roun
     return replace(best, converged=False, message="the search ran out of rounds")
 
 
-def is_misspecified(cases: Sequence[PreparedRecording], point: Fit) -> bool:
+def is_misspecified(problem: FitProblem, point: Fit) -> bool:
     """Whether the model misses so much that its noise forgets as fast as it may, and errors stay correlated still.
 
     Such a likelihood is rough, and which of its many valleys is the deepest says little about the axis.
     """
     return (
         point.overdispersion > OVERDISPERSION_OF_WRONG_MODEL
-        and point.process_noise > 0.5 * filter_memory.largest_process_noise(cases)
+        and point.process_noise > 0.5 * filter_memory.largest_process_noise(problem.recordings)
     )
 
 
 def most_likely_process_noise(
-    cases: Sequence[PreparedRecording], structure: Structure, values: Mapping[str, float], around: float | None = None
+    problem: FitProblem, structure: Structure, values: Mapping[str, float], around: float | None = None
 ) -> float:
     """The noise density that makes the recordings likeliest at fixed parameters; none that forgets too fast.
 
     `around` a density that is known already it is looked for within a factor of three hundred.
     """
-    top = math.log10(filter_memory.largest_process_noise(cases))
+    top = math.log10(filter_memory.largest_process_noise(problem.recordings))
 
     def looked(exponents: Sequence[float]) -> list[float]:
-        return each(lambda d: likelihood.evaluate(cases, structure, values, 10.0**d).deviance, exponents)
+        return each(lambda d: likelihood.evaluate(problem.at(10.0**d), structure, values).deviance, exponents)
 
     if around is None:
         # Readings that are rounded and held have a second valley, where the last reading is all that is believed.
@@ -153,25 +152,24 @@ def most_likely_process_noise(
 
 
 def fit_with_process_noise(
-    cases: Sequence[PreparedRecording],
+    problem: FitProblem,
     structure: Structure,
     values: Mapping[str, float],
     free: tuple[str, ...],
-    process_noise: float | None = None,
     rounds: int = 15,
     most: float = math.inf,
 ) -> Fit:
     """Maximum likelihood over the free parameters and the noise density, alternating until neither moves; the density
-    stays at most so much.
+    stays at most so much. It begins with that of the problem, or is looked for anew where that is zero.
 
     Until the density is settled the parameters only have to be about right.
     """
-    current = process_noise if process_noise is not None else most_likely_process_noise(cases, structure, values)
-    point = levenberg_marquardt(cases, structure, values, current, free, min(rounds, 5), tolerance=1.0)
+    current = problem.process_noise or most_likely_process_noise(problem, structure, values)
+    point = levenberg_marquardt(problem.at(current), structure, values, free, min(rounds, 5), tolerance=1.0)
     for _ in range(6):
-        found = min(most_likely_process_noise(cases, structure, point.values, around=current), most)
+        found = min(most_likely_process_noise(problem, structure, point.values, around=current), most)
         if abs(math.log10(found / current)) < 0.1:
             break
         current = found
-        point = levenberg_marquardt(cases, structure, point.values, current, free, min(rounds, 5), tolerance=1.0)
-    return levenberg_marquardt_from(cases, point, rounds, 0.05)
+        point = levenberg_marquardt(problem.at(current), structure, point.values, free, min(rounds, 5), tolerance=1.0)
+    return levenberg_marquardt_from(problem, point, rounds, 0.05)

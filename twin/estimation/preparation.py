@@ -8,13 +8,9 @@ from dataclasses import replace
 from twin.effects.catalogue import BASE
 from twin.estimation import contact_masking, parameter_bounds, prepared_recording
 from twin.estimation.prepared_recording import PreparedRecording
+from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
-
-
-def free_parameters(structure: Structure) -> tuple[str, ...]:
-    """Everything that is estimated unless the user holds it."""
-    return tuple(p.name for p in structure.parameters if p.estimated)
 
 
 def base_structure() -> Structure:
@@ -45,9 +41,12 @@ def complete_values(structure: Structure, values: Mapping[str, float]) -> dict[s
 
 
 def prepare_recordings(
-    recordings: Sequence[Recording], structure: Structure, closed: bool = False
-) -> list[PreparedRecording]:
-    """The recordings made ready; `closed` under the rig's own loop.
+    recordings: Sequence[Recording],
+    structure: Structure,
+    held: Mapping[str, float] | None = None,
+    closed: bool = False,
+) -> FitProblem:
+    """Make recordings ready, `closed` under the rig's own loop, with some parameters held.
 
     One sensor read them all: where a quick motion between few or late stamps makes its readings look noisy, those of a
     slow one say how good they are.
@@ -55,19 +54,12 @@ def prepare_recordings(
     cases = [prepared_recording.prepare_recording(r, structure, closed) for r in recordings]
     least = min((c.reading_variance for c in cases), default=0.0)
     cases = [replace(c, reading_variance=least) for c in cases]
-    if "backlash" not in structure:
-        return cases
-    return [
-        replace(c, rattle_mask=contact_masking.find_rattling(c), start_mask=contact_masking.find_first_contact(c))
-        for c in cases
-    ]
-
-
-def with_internal_step(cases: Sequence[PreparedRecording], structure: Structure) -> list[PreparedRecording]:
-    """The cases with the internal step that the structure needs."""
-    longest = 0.002 / structure.substeps * (1.0 + 1e-9)
-    # What a case has worked out about itself goes with it.
-    return [c if c.drive.longest == longest else replace(c, drive=replace(c.drive, longest=longest)) for c in cases]
+    if "backlash" in structure:
+        cases = [
+            replace(c, rattle_mask=contact_masking.find_rattling(c), start_mask=contact_masking.find_first_contact(c))
+            for c in cases
+        ]
+    return FitProblem(cases, held or {})
 
 
 def excerpt(case: PreparedRecording, structure: Structure, begin: float, end: float) -> PreparedRecording:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -102,6 +102,12 @@ class PreparedRecording:
         if not self.drive.speed:
             return np.asarray(y[seen])
         return np.asarray(cumulative_trapezoid(np.interp(time, time[seen], y[seen]), time, initial=0.0))
+
+    def stepped(self, structure: Structure) -> PreparedRecording:
+        """The same with the longest internal step that the structure allows."""
+        longest = 0.002 / structure.substeps * (1.0 + 1e-9)
+        same = self.drive.longest == longest
+        return self if same else replace(self, drive=replace(self.drive, longest=longest))
 
     @property
     def reading_span(self) -> float:
