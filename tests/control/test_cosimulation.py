@@ -255,7 +255,7 @@ def test_csv_reference_is_what_it_was(tmp_path: Path) -> None:
     path.write_text(
         "t,position\n" + "".join(f"{t:.4f},{x:.9f}\n" for t, x in zip(r.time[::10], r.position[::10], strict=True))
     )
-    back = read_reference(path, made.sample_time)
+    back = read_reference(path, made)
     n = len(back.time)
     np.testing.assert_allclose(back.position, r.position[:n], atol=1e-4)
     np.testing.assert_allclose(back.velocity[50:-50], r.velocity[50 : n - 50], atol=1e-2)
@@ -266,11 +266,14 @@ def test_csv_reference_is_what_it_was(tmp_path: Path) -> None:
     [
         ("", "empty"),
         ("t,x\n0,0\n", "no column 'position'"),
-        ("t,position\n0,0\n1,a\n2,0\n3,0\n", "line 3: position is 'a'"),
+        ("t,position\n0,0\n1,a\n2,0\n3,0\n", "line 3, column 'position': 'a' is no number"),
         ("t,position\n0,0\n1\n2,0\n3,0\n", "line 3"),
         ("t,position\n0,0\n1,nan\n2,0\n3,0\n", "line 3"),
         ("t,position\n0,0\n1,0\n1,0\n3,0\n", "line 4: time"),
+        ("t,position\n0,0\n1,1e308\n2,0\n3,0\n", "line 3: position is 1e\\+308, beyond any axis"),
         ("t,position\n0,0\n1,0\n", "at least 4"),
+        ("t,position [mm]\n0,0\n1,0\n2,0\n3,0\n", "in mm, the controller's position in rad"),
+        ("t,position\n" + "".join(f"{10 * k},0\n" for k in range(60)), r"makes 10 s from row to row.*'time \[ms\]'"),
         ("t,position\n0,0\n1,0\n2,0\n1e9,0\n", "too many"),
     ],
 )
@@ -278,7 +281,27 @@ def test_unusable_reference_files_are_refused(tmp_path: Path, text: str, says: s
     path = tmp_path / "r.csv"
     path.write_text(text)
     with pytest.raises(BadInput, match=says):
-        read_reference(path, 0.002)
+        read_reference(path, design(axis()))
+
+
+@pytest.mark.parametrize("row", ["", "{time}{mark}{position}\n"])
+@pytest.mark.parametrize("mark", [",", ";"])
+@pytest.mark.parametrize(("time", "per_second"), [("s", 1.0), ("ms", 1e3), ("us", 1e6)])
+@pytest.mark.parametrize(("unit", "per_rad"), [("rad", 1.0), ("deg", 180 / math.pi), ("rev", 0.5 / math.pi)])
+def test_a_reference_in_other_units_and_dialects_is_the_same(
+    tmp_path: Path, row: str, mark: str, time: str, per_second: float, unit: str, per_rad: float
+) -> None:
+    """The units stand behind the names or in a row of their own; decimal commas go with semicolons."""
+    t = np.arange(200) * 0.01
+    names = ("time", "position") if row else (f"time [{time}]", f"position_{unit}")
+    lines = [f"{per_second * a:.9f}{mark}{per_rad * b:.9f}" for a, b in zip(t, np.sin(t), strict=True)]
+    text = "\n".join(lines).replace(".", "," if mark == ";" else ".")
+    path = tmp_path / "r.csv"
+    path.write_text(mark.join(names) + "\n" + row.format(time=time, mark=mark, position=unit) + text)
+    made = design(axis())
+    back = read_reference(path, made)
+    np.testing.assert_allclose(back.position, np.sin(back.time), atol=1e-6)
+    assert len(back.time) == int(1.99 / made.sample_time + 1e-6) + 1
 
 
 def test_reference_beyond_reach_is_refused_before_anything_runs() -> None:

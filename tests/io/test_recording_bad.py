@@ -119,6 +119,8 @@ def test_a_recording_that_cannot_be_used(tmp_path: Path, log: bytes | str, words
         ("[output]", "[optional.curent]\ncolumn = 'i'\n[output]", ["did you mean 'current'"]),
         ("[output]", "[structure]\neffects = 'gravity'\n[output]", ["list of names"]),
         ("[output]", "[known]\ninertia = true\n[output]", ["inertia = True", "number"]),
+        ("[output]", f"[known]\ninertia = {'9' * 5000}\n[output]", ["not valid TOML", "too many digits"]),
+        ("[output]", f"[known]\ninertia = {'9' * 4000}\n[output]", ["inertia", "finite"]),
         ("[output]", "[known]\ninertia = nan\n[output]", ["inertia", "finite"]),
         ("[output]", "[known]\ninertia = -1\n[output]", ["inertia = -1", "negative"]),
         ("[output]", "[known]\ninertai = 1\n[output]", ["'inertai'", "did you mean 'inertia'"]),

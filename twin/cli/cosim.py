@@ -35,7 +35,7 @@ def _cosim(args: argparse.Namespace) -> int:
     elif args.amplitude is not None or args.duration is not None:
         raise BadInput(f"--amplitude and --duration shape {', '.join(reference.KINDS)}, not a file like {kind}")
     else:
-        wanted = reference.read_reference(Path(kind), made.sample_time)
+        wanted = reference.read_reference(Path(kind), made)
     from twin.control import cosimulation
 
     with show_progress(args) as tell:

@@ -18,6 +18,7 @@ from typing import NoReturn
 
 from twin.cli import control, cosim, diagnose, export, identify, replay, run
 from twin.cli.command import Command
+from twin.cli.output import printable
 from twin.errors import BadInput
 
 #: Every command of the program, in the order of `twin --help`.
@@ -95,7 +96,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             parser.error("name a command, such as run")
         return int(args.handler(args))
     except BadInput as error:
-        print(f"twin: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"twin: {printable(' '.join(str(error).split()))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("twin: stopped; nothing is half-written", file=sys.stderr)
@@ -106,12 +107,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         # A full disk, a name that is too long: no fault of ours, and told in one line.
         where = f"{error.filename}: " if error.filename else ""
-        print(f"twin: {where}{error.strerror or error}: give another place or make room", file=sys.stderr)
+        print(printable(f"twin: {where}{error.strerror or error}: give another place or make room"), file=sys.stderr)
         if debug:
             traceback.print_exc()
         return 2
     except Exception as error:
-        print(f"twin: internal error, {type(error).__name__}: {' '.join(str(error).split())}; "
+        print(f"twin: internal error, {type(error).__name__}: {printable(' '.join(str(error).split()))}; "
               "set TWIN_DEBUG=1 for the traceback", file=sys.stderr)  # fmt: skip
         if debug:
             traceback.print_exc()

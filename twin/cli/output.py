@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import threading
+import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -56,6 +57,21 @@ def show_progress(args: argparse.Namespace) -> Iterator[Progress]:
         bar.close()
 
 
+def printable(text: str) -> str:
+    """The text with its control characters shown, not sent: a name in a file could else command the terminal.
+
+    Line breaks and tabs stay. Characters that turn the direction of writing are shown, too.
+    """
+    return "".join(
+        c if c in "\n\t" or unicodedata.category(c) not in ("Cc", "Cf", "Cs", "Zl", "Zp") else _shown(c) for c in text
+    )
+
+
+def _shown(character: str) -> str:
+    code = ord(character)
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+
+
 def answer_user(args: argparse.Namespace, said: Sequence[str], answer: Answer) -> None:
     """The sentences for people, and the JSON for programs; with `--json -` the sentences go to stderr."""
     from twin.io.files import json_text, put
@@ -66,7 +82,7 @@ def answer_user(args: argparse.Namespace, said: Sequence[str], answer: Answer) -
         put(Path(args.json), json_text(answer))
     if not args.quiet:
         # Consoles that know only a few characters get plain ones, and never an error.
-        text = "\n".join(said).translate({ord("\u202f"): " ", ord("−"): "-"})
+        text = printable("\n".join(said)).translate({ord("\u202f"): " ", ord("−"): "-"})
         stream = sys.stderr if args.json == "-" else sys.stdout
         coding = stream.encoding or "ascii"
         print(text.encode(coding, "replace").decode(coding), file=stream)

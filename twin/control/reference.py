@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,28 @@ from numpy.typing import NDArray
 
 from twin.control.controller import Controller
 from twin.errors import BadInput
+from twin.io.rig_file import split_unit
+from twin.io.tables.formats import open_table
+from twin.io.tables.table import Table, listing
+from twin.io.units import POSITION_UNITS, SPEED_UNITS, TIME_UNITS, Units
 
 FloatArray = NDArray[np.floating[Any]]
 KINDS = ("minimum-jerk", "sine", "step")
 TRAVEL = {"rad": 1.0, "m": 0.1}  # unless an amplitude is given
+_ACCELERATION_UNITS: Units = {f"{u}/s": (f"{kept}^2", factor) for u, (kept, factor) in SPEED_UNITS.items()} | {
+    f"{unit}^2": (f"{kept}^2", factor) for unit, (kept, factor) in SPEED_UNITS.items()
+}
+#: Names and units of the columns of a reference file, names without signs and in small letters.
+_COLUMNS: Mapping[str, tuple[tuple[str, ...], Units]] = {
+    "time": (("time", "t"), TIME_UNITS),
+    "position": (("position", "reference"), POSITION_UNITS),
+    "velocity": (("velocity", "referencevelocity"), SPEED_UNITS),
+    "acceleration": (("acceleration", "referenceacceleration"), _ACCELERATION_UNITS),
+}
+_LARGEST = 1e12  # s, or the axis' unit: no axis gets there
+_MOST_SAMPLES = 5e6
+#: A file of more points than this, each so many seconds after the one before, has its time in another unit.
+_FEW_POINTS, _SLOWEST = 50, 0.5
 SHARE = 0.4  # of the reachable speed and acceleration that a made reference uses
 
 
@@ -109,69 +127,97 @@ def make_reference(
     return Reference(kind, t, begin + position, velocity, acceleration)
 
 
-def read_reference(path: Path, sample_time: float) -> Reference:
-    """A reference from CSV: columns `time` or `t` (s) and `position` or `reference`, optionally `velocity` and
-    `acceleration`; without those they are the derivatives of a smooth curve through the points. Raises BadInput.
+def read_reference(path: Path, controller: Controller) -> Reference:
+    """A reference from a table in any format that a recording may have.
+
+    Columns `time` or `t` and `position` or `reference`, optionally `velocity` and `acceleration`; without those they
+    are the derivatives of a smooth curve through the points. Units stand behind the names, as in `time [ms]` or
+    `position_deg`, or in a row of their own; without one they are s and the axis' unit.
+
+    Parameters
+    ----------
+    path
+        The file.
+    controller
+        Gives the sample time and the axis' unit.
+
+    Raises
+    ------
+    BadInput
+        Where the file cannot be read, a column or a value is missing, a unit is not that of the axis, or time makes no
+        sense.
     """
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.reader(file))
-    except FileNotFoundError:
-        raise BadInput(f"{path}: there is no such reference file: check the name") from None
-    except IsADirectoryError:
-        raise BadInput(f"{path} is a folder, not a reference file: name a CSV file") from None
-    except (UnicodeDecodeError, csv.Error):
-        raise BadInput(f"{path} is not CSV text: give a CSV with columns time and position") from None
-    except OSError as error:
-        raise BadInput(f"{path} cannot be read ({error.strerror}): check its permissions") from None
-    rows = [r for r in rows if any(cell.strip() for cell in r)]
-    if not rows:
-        raise BadInput(f"{path} is empty: give a CSV with columns time and position")
-    names = [cell.strip().lower() for cell in rows[0]]
-    columns = {}
-    for wanted, aliases in {
-        "time": ("time", "t"), "position": ("position", "reference"),
-        "velocity": ("velocity", "reference_velocity"), "acceleration": ("acceleration", "reference_acceleration"),
-    }.items():  # fmt: skip
-        here = [names.index(a) for a in aliases if a in names]
-        if here:
-            columns[wanted] = here[0]
-    for wanted in ("time", "position"):
-        if wanted not in columns:
-            raise BadInput(f"{path}, line 1: no column {wanted!r} among {', '.join(names)}: name it so")
-    table = {name: np.empty(len(rows) - 1) for name in columns}
-    for line, row in enumerate(rows[1:], start=2):
-        for name, at in columns.items():
-            cell = row[at].strip() if at < len(row) else ""
-            try:
-                value = float(cell)
-            except ValueError:
-                value = math.nan
-            if not math.isfinite(value):
-                raise BadInput(f"{path}, line {line}: {name} is {cell!r}, which is not a finite number: give one")
-            table[name][line - 2] = value
-    time = table["time"]
+    table = open_table(path)
+    columns, factors = _find_columns(table, controller.axis_unit)
+    values = dict(zip(columns, table.columns(list(columns.values())), strict=True))
+    for name, column in values.items():
+        bad = np.flatnonzero(~(np.abs(column * factors[name]) < _LARGEST))
+        if len(bad):
+            found = column[bad[0]]
+            said = "missing" if np.isnan(found) else f"{found:g}, beyond any axis"
+            raise BadInput(f"{path}, {table.where(int(bad[0]))}: {name} is {said}: give a finite number")
+        values[name] = column * factors[name]
+    time = values["time"]
     if len(time) < 4:
         raise BadInput(f"{path} has {len(time)} rows: give at least 4")
-    if np.any(np.diff(time) <= 0.0):
-        line = int(np.flatnonzero(np.diff(time) <= 0.0)[0]) + 3
-        raise BadInput(f"{path}, line {line}: time does not increase: sort the rows by time")
-    if (time[-1] - time[0]) / sample_time > 5e6:
-        raise BadInput(f"{path} lasts {time[-1] - time[0]:g} s, too many samples of {sample_time:g} s: time is in s")
+    back = np.flatnonzero(np.diff(time) <= 0.0)
+    if len(back):
+        raise BadInput(f"{path}, {table.where(int(back[0]) + 1)}: time does not increase: sort the rows by time")
+    step, whole = float(np.median(np.diff(time))), float(time[-1] - time[0])
+    if whole / controller.sample_time > _MOST_SAMPLES:
+        raise BadInput(
+            f"{path} lasts {whole:g} s, too many samples of {controller.sample_time:g} s: shorten it, or give the unit "
+            "of time, as in 'time [ms]'"
+        )
+    if step > _SLOWEST and len(time) > _FEW_POINTS and split_unit(columns["time"])[1] is None:
+        raise BadInput(
+            f"{path}: column '{columns['time']}' makes {step:g} s from row to row, {whole:g} s in all: call it "
+            "'time [ms]' if it is in ms, or 'time [s]' if it is in s"
+        )
+    return _resample(path.name, values, controller.sample_time)
+
+
+def _find_columns(table: Table, axis_unit: str) -> tuple[dict[str, str], dict[str, float]]:
+    """The columns that there are, and the factors of each to s and the axis' unit."""
+    columns: dict[str, str] = {}
+    factors: dict[str, float] = {}
+    for wanted, (aliases, units) in _COLUMNS.items():
+        kept = axis_unit + {"velocity": "/s", "acceleration": "/s^2"}.get(wanted, "") if wanted != "time" else "s"
+        for column in table.names:
+            base, unit = split_unit(column)
+            if base not in aliases or wanted in columns:
+                continue
+            unit = unit or table.units.get(column) or kept
+            converted, factor = units.get(unit, ("", 1.0))
+            if converted != kept or unit.startswith("count"):
+                raise BadInput(
+                    f"{table.name}: column '{column}' is in {unit}, the controller's {wanted} in {kept}: convert it, "
+                    "or correct the unit behind its name"
+                )
+            columns[wanted], factors[wanted] = column, factor
+    for wanted in ("time", "position"):
+        if wanted not in columns:
+            raise BadInput(f"{table.name}: no column '{wanted}' among {listing(table.names)}: name it so")
+    return columns, factors
+
+
+def _resample(name: str, values: Mapping[str, FloatArray], sample_time: float) -> Reference:
+    """The reference at every sample."""
+    time = values["time"]
     t = np.arange(int((time[-1] - time[0]) / sample_time + 1e-6) + 1) * sample_time
     # A held column is a step reference: its corners are not to be rounded off.
-    held = np.mean(np.diff(table["position"]) == 0.0) > 0.5 and "velocity" not in table
+    held = np.mean(np.diff(values["position"]) == 0.0) > 0.5 and "velocity" not in values
     if held:
         before = np.searchsorted(time, t + time[0] + 1e-9, side="right") - 1
-        return Reference(path.name, t, table["position"][before], np.zeros_like(t), np.zeros_like(t))
+        return Reference(name, t, values["position"][before], np.zeros_like(t), np.zeros_like(t))
     from scipy.interpolate import CubicSpline, PchipInterpolator  # slow to import, and only a file has need of it
 
-    curve = CubicSpline(time, table["position"])
+    curve = CubicSpline(time, values["position"])
     made = [curve(t + time[0])]
-    for order, name in ((1, "velocity"), (2, "acceleration")):
-        given = PchipInterpolator(time, table[name]) if name in table else curve.derivative(order)
+    for order, key in ((1, "velocity"), (2, "acceleration")):
+        given = PchipInterpolator(time, values[key]) if key in values else curve.derivative(order)
         made.append(given(t + time[0]))
-    return Reference(path.name, t, *made)
+    return Reference(name, t, *made)
 
 
 def check(reference: Reference, controller: Controller) -> None:

@@ -75,7 +75,7 @@ class Checks:
         made = controller if isinstance(controller, Controller) else controllers.read(Path(controller))
         if isinstance(reference, str | Path):
             kind = str(reference)
-            reference = make_reference(kind, made) if kind in KINDS else read_reference(Path(kind), made.sample_time)
+            reference = make_reference(kind, made) if kind in KINDS else read_reference(Path(kind), made)
         return run(Path(fmu), made, reference)
 
     def assert_tracking(
