@@ -1,0 +1,96 @@
+"""Changes between two fits: planted ones are found with their size, and an axis that is the same is left alone."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from example_diagnosis import model_of
+from scipy.stats import binomtest
+
+from twin.diagnosis.change import INERTIA, compare_models
+from twin.errors import BadInput
+from twin.model.fitted_model import Model
+
+
+def drawn(model: Model, rng: np.random.Generator, **factors: float) -> Model:
+    """What a fit finds of an axis whose parameters are so many times as large: drawn from the fit's own errors."""
+    truth = np.array([model.values[n] * factors.get(n, 1.0) for n in model.fitted])
+    values = rng.multivariate_normal(truth, model.covariance)
+    return replace(model, notes={}, values={**model.values, **dict(zip(model.fitted, values.tolist(), strict=True))})
+
+
+def correlated(model: Model, rng: np.random.Generator) -> Model:
+    """The model with errors that hang together, as those of a fit do."""
+    n = len(model.fitted)
+    mixed = np.eye(n) + 0.4 * rng.standard_normal((n, n))
+    size = np.sqrt(np.diag(model.covariance))
+    covariance = np.outer(size, size) * (mixed @ mixed.T) / n
+    return replace(model, covariance=covariance, notes={})
+
+
+def test_an_axis_that_did_not_change_is_left_alone() -> None:
+    rng = np.random.default_rng(1)
+    alarms = 0
+    for _ in range(200):
+        model = correlated(model_of("gravity", "coulomb_friction"), rng)
+        alarms += bool(compare_models(drawn(model, rng), drawn(model, rng), 0.05).found)
+    assert binomtest(alarms, 200, 0.05, alternative="greater").pvalue > 0.001
+
+
+@pytest.mark.parametrize("name", ["input_gain", "viscous_friction", "dead_band_forward", "gravity_gain"])
+def test_one_parameter_that_changed_is_named_with_its_size(name: str) -> None:
+    rng = np.random.default_rng(2)
+    named = held = 0
+    for _ in range(30):
+        model = correlated(model_of("gravity", "coulomb_friction"), rng)
+        found = compare_models(drawn(model, rng), drawn(model, rng, **{name: 1.5})).found
+        named += [c.parameter for c in found] == [name]
+        held += any(c.parameter == name and c.interval[0] / c.before <= 1.5 <= c.interval[1] / c.before for c in found)
+    assert named >= 27
+    assert held >= 24
+
+
+def test_an_inertia_that_grew_is_not_five_other_things() -> None:
+    rng = np.random.default_rng(3)
+    over = ("input_gain", "viscous_friction", "gravity_gain", "coulomb_friction", "motor_share")
+    right = 0
+    for _ in range(20):
+        model = correlated(model_of("gravity", "coulomb_friction"), rng)
+        grown = compare_models(drawn(model, rng), drawn(model, rng, **dict.fromkeys(over, 1 / 3.0))).found
+        right += [c.parameter for c in grown] == [INERTIA] and abs(math.log(grown[0].after / 3.0)) < 0.2
+    assert right >= 18
+
+
+def test_a_payload_changes_inertia_and_not_the_weight_of_the_rest() -> None:
+    """A payload twice as heavy: the inertia doubles, gravity over inertia stays, and both are said."""
+    rng = np.random.default_rng(4)
+    model = correlated(model_of("gravity", "coulomb_friction"), rng)
+    over = dict.fromkeys(("input_gain", "viscous_friction", "coulomb_friction", "motor_share"), 0.5)
+    found = compare_models(drawn(model, rng), drawn(model, rng, **over)).found
+    assert {c.parameter for c in found} == {INERTIA, "gravity_gain"}
+
+
+def test_what_a_fit_cannot_fix_is_said_to_be_that() -> None:
+    model = model_of()
+    wide = model.covariance.copy()
+    i = model.fitted.index("motor_share")
+    wide[i, i] = 25.0
+    found = compare_models(model, replace(model, covariance=wide))
+    assert found.undetermined == ("motor_share",) and found.found == ()
+
+
+def test_an_angle_is_compared_around_the_circle() -> None:
+    model = replace(model_of("gravity"), notes={})
+    turned = model.with_values({"gravity_angle": model.values["gravity_angle"] + 2 * math.pi})
+    assert compare_models(model, turned).found == ()
+
+
+def test_models_that_cannot_be_compared_are_refused() -> None:
+    model = model_of()
+    with pytest.raises(BadInput, match="structure"):
+        compare_models(model, model_of("gravity"))
+    with pytest.raises(BadInput, match="standard errors"):
+        compare_models(model, replace(model, fitted=(), covariance=np.zeros((0, 0))))

@@ -1,0 +1,279 @@
+"""What changed: a model against a later fit of the same structure.
+
+Both fits have errors that hang together, so the question is not which values differ but which few parameters have to
+differ for the rest to agree. The differences d of two independent fits are Gaussian with the sum S of their
+covariances. A hypothesis names a few directions A in which the axis may have changed; it leaves
+min (d - A x)' S^-1 (d - A x), a chi-square variable where it is true. Each direction has to remove more than chance
+does in one of a hundred unchanged axes, all directions that are tried included (Bonferroni); the set that is best by
+that price is taken.
+
+A direction is one parameter, or what one cause does to several: all torques stand over the inertia, so that an
+inertia which grows by r divides them all by r.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from twin.effects.parameter import Parameter
+from twin.errors import BadInput
+from twin.model.fitted_model import Model
+
+FloatArray = NDArray[np.float64]
+
+#: Share of unchanged axes for which any change at all may be reported.
+FALSE_ALARMS = 0.01
+#: A parameter is compared by its ratio where both values are this many standard errors from zero.
+SURELY_NOT_ZERO = 3.0
+#: A parameter is not determined where its standard error is as large as its value and as this share of the bound.
+NOT_DETERMINED = 1.0
+#: Two explanations whose chi-squares differ by less are not told apart: odds of 20 to 1, 2 ln 20.
+CANNOT_TELL = 2.0 * math.log(20.0)
+#: Directions that one answer may name.
+MOST_CHANGES = 3
+#: Parameters that belong to one recording and say nothing about the axis.
+_OF_ONE_RECORDING = ("load_time", "disturbance_phase", "pulse_start", "pulse_end")
+INERTIA = "inertia_ratio"
+
+
+@dataclass(frozen=True)
+class Change:
+    """A parameter that changed.
+
+    Attributes
+    ----------
+    parameter : str
+        Its name, or "inertia_ratio" where all torques over the inertia changed together.
+    before, after : float
+        Values, in `unit`; of the inertia 1 and the ratio.
+    interval : tuple of float
+        95 % interval of `after`.
+    unit : str
+    says : str
+        One sentence in plain words.
+    rivals : tuple of str
+        Parameters whose change would explain the recordings about as well.
+    """
+
+    parameter: str
+    before: float
+    after: float
+    interval: tuple[float, float]
+    unit: str
+    says: str
+    rivals: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Changes:
+    """All that changed from one model to another.
+
+    Attributes
+    ----------
+    found : tuple of Change
+        The most certain first.
+    undetermined : tuple of str
+        Parameters that one of the two fits cannot fix.
+    standardised : mapping
+        Difference of each parameter over its standard error, by itself.
+    p_value : float
+        Of the hypothesis that nothing changed.
+    """
+
+    found: tuple[Change, ...]
+    undetermined: tuple[str, ...]
+    standardised: Mapping[str, float]
+    p_value: float
+
+
+@dataclass(frozen=True)
+class _Coordinate:
+    """How one parameter is compared: by its logarithm, or as it is."""
+
+    parameter: Parameter
+    before: float
+    after: float
+    by_ratio: bool
+
+    @property
+    def difference(self) -> float:
+        if self.by_ratio:
+            return math.log(self.after / self.before)
+        if self.parameter.unit == "rad":
+            return math.remainder(self.after - self.before, 2.0 * math.pi)
+        return self.after - self.before
+
+    def slope(self, value: float) -> float:
+        """Of the coordinate over the parameter."""
+        return 1.0 / value if self.by_ratio else 1.0
+
+    def moved(self, by: float) -> float:
+        """The value before, moved by so much."""
+        return self.before * math.exp(by) if self.by_ratio else self.before + by
+
+    @property
+    def per_inertia(self) -> float:
+        """Change of the coordinate for a unit of the logarithm of the inertia."""
+        over = "over inertia" in self.parameter.meaning or self.parameter.name in ("input_gain", "motor_share")
+        if not over:
+            return 0.0
+        return -1.0 if self.by_ratio else -self.before
+
+
+def _undetermined(model: Model, name: str) -> bool:
+    """Whether the fit says next to nothing of a parameter."""
+    std = model.std(name)
+    return not math.isfinite(std) or (name in model.notes and std >= NOT_DETERMINED * abs(model.values[name]))
+
+
+def _coordinates(before: Model, after: Model, names: Sequence[str]) -> list[_Coordinate]:
+    def surely(model: Model, name: str) -> bool:
+        return abs(model.values[name]) > SURELY_NOT_ZERO * model.std(name)
+
+    return [
+        _Coordinate(
+            before.parameter(n), before.values[n], after.values[n],
+            surely(before, n) and surely(after, n) and before.values[n] * after.values[n] > 0.0
+            and before.parameter(n).unit != "rad",
+        )
+        for n in names
+    ]  # fmt: skip
+
+
+def _spread(model: Model, names: Sequence[str], coordinates: Sequence[_Coordinate]) -> FloatArray:
+    """Covariance (n, n) of the coordinates in one fit."""
+    rows = [model.fitted.index(n) for n in names]
+    slopes = np.array([c.slope(model.values[n]) for n, c in zip(names, coordinates, strict=True)])
+    return np.asarray(model.covariance[np.ix_(rows, rows)] * np.outer(slopes, slopes))
+
+
+def _information(spread: FloatArray) -> FloatArray:
+    """Inverse (n, n) of a covariance; nothing in directions of which nothing is known."""
+    size = np.sqrt(np.diag(spread))
+    values, vectors = np.linalg.eigh(spread / np.outer(size, size))
+    return np.asarray((vectors / np.maximum(values, 1e-10)) @ vectors.T / np.outer(size, size))
+
+
+def _columns(directions: Mapping[str, FloatArray], names: Sequence[str], rows: int) -> FloatArray:
+    """The directions of these names as columns (n, m)."""
+    return np.array([directions[n] for n in names]).reshape(len(names), rows).T
+
+
+def _left(d: FloatArray, information: FloatArray, directions: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Chi-square that a hypothesis leaves, and its sizes (m,) with their covariance (m, m)."""
+    if directions.shape[1] == 0:
+        return float(d @ information @ d), np.zeros(0), np.zeros((0, 0))
+    known = np.asarray(np.linalg.pinv(directions.T @ information @ directions), dtype=float)
+    sizes = known @ directions.T @ information @ d
+    rest = d - directions @ sizes
+    return float(rest @ information @ rest), sizes, known
+
+
+def compare_models(before: Model, after: Model, false_alarms: float = FALSE_ALARMS) -> Changes:
+    """Which parameters changed from one fit to a later one of the same structure.
+
+    Parameters
+    ----------
+    before, after : Model
+        Two fits with standard errors, of recordings that are independent.
+    false_alarms : float
+        Probability that any change at all is reported of an axis that did not change.
+
+    Returns
+    -------
+    Changes
+
+    Raises
+    ------
+    BadInput
+        Where the structures or units differ, or a model has no standard errors.
+    """
+    if before.structure != after.structure:
+        raise BadInput(f"the models differ in structure: {before.structure}, and {after.structure}")
+    if (before.axis_unit, before.input_unit) != (after.axis_unit, after.input_unit):
+        raise BadInput("the models differ in their units")
+    shared = [n for n in before.fitted if n in after.fitted and n not in _OF_ONE_RECORDING]
+    if not shared:
+        raise BadInput("one of the models holds no standard errors: make both with twin identify")
+    lost = tuple(n for n in shared if _undetermined(before, n) or _undetermined(after, n))
+    names = [n for n in shared if n not in lost]
+    if not names:
+        return Changes((), lost, {}, 1.0)
+    coordinates = _coordinates(before, after, names)
+    d = np.array([c.difference for c in coordinates])
+    spread = _spread(before, names, coordinates) + _spread(after, names, coordinates)
+    information = _information(spread)
+    directions = {n: np.eye(len(names))[i] for i, n in enumerate(names)}
+    inertia = np.array([c.per_inertia for c in coordinates])
+    if np.count_nonzero(inertia) > 1:
+        directions[INERTIA] = inertia
+    chosen, rivals = _chosen(d, information, directions, false_alarms)
+    _, sizes, known = _left(d, information, _columns(directions, chosen, len(d)))
+    by_name = dict(zip(names, coordinates, strict=True))
+    found = [
+        _change(name, float(sizes[i]), math.sqrt(known[i, i]), by_name, after, rivals[name])
+        for i, name in enumerate(chosen)
+    ]
+    chi_square = float(d @ information @ d)
+    return Changes(
+        tuple(found),
+        lost,
+        dict(zip(names, (d / np.sqrt(np.diag(spread))).tolist(), strict=True)),
+        float(chi2.sf(chi_square, len(names))),
+    )
+
+
+def _chosen(
+    d: FloatArray, information: FloatArray, directions: Mapping[str, FloatArray], false_alarms: float
+) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]]]:
+    """The fewest directions that are needed, the largest first; and for each what would have done about as well.
+
+    All sets of up to `MOST_CHANGES` are tried: one cause that acts on several parameters is found only as a whole.
+    """
+    needed = float(chi2.isf(false_alarms / len(directions), 1))
+
+    index = {name: i for i, name in enumerate(directions)}
+    every = _columns(directions, tuple(directions), len(d))
+    seen, pull = every.T @ information @ every, every.T @ information @ d
+
+    def left(names: Sequence[str]) -> float:
+        """Chi-square that these directions leave, but for a constant."""
+        rows = [index[n] for n in names]
+        sizes = np.linalg.lstsq(seen[np.ix_(rows, rows)], pull[rows], rcond=None)[0] if rows else np.zeros(0)
+        return -float(pull[rows] @ sizes)
+
+    most = min(MOST_CHANGES, len(d))
+    sets = (s for size in range(most + 1) for s in combinations(directions, size))
+    best = min(sets, key=lambda s: left(s) + needed * len(s))
+    without = {name: left([n for n in best if n != name]) for name in best}
+    rivals = {}
+    for name in best:
+        rest = [n for n in best if n != name]
+        offered = {n: left([*rest, n]) for n in directions if n not in best}
+        rivals[name] = tuple(n for n, x in offered.items() if x - left(best) < CANNOT_TELL)
+    return tuple(sorted(best, key=lambda name: -without[name])), rivals
+
+
+def _change(
+    name: str, size: float, std: float, coordinates: Mapping[str, _Coordinate], after: Model, rivals: tuple[str, ...]
+) -> Change:
+    """A direction and its size, put into words."""
+    ends = (size - 1.96 * std, size + 1.96 * std)
+    if name == INERTIA:
+        ratio, low, high = (math.exp(v) for v in (size, *ends))
+        says = f"the inertia is {ratio:.3g} times what it was ({low:.3g} to {high:.3g})"
+        return Change(name, 1.0, ratio, (low, high), "1", says, rivals)
+    c = coordinates[name]
+    value, low, high = (c.moved(v) for v in (size, *ends))
+    unit = after.unit(name)
+    shown = "" if unit == "1" else f" {unit}"
+    grew = "grew" if abs(value) > abs(c.before) else "fell"
+    says = f"the {name.replace('_', ' ')} {grew} from {c.before:.3g} to {value:.3g}{shown} ({low:.3g} to {high:.3g})"
+    return Change(name, c.before, value, (low, high), unit, says, rivals)
