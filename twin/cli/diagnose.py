@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from twin.cli.command import Command, add_closed, add_log, add_out, add_structure, check_outputs, load
@@ -15,6 +16,7 @@ def _diagnose(args: argparse.Namespace) -> int:
     with show_progress(args) as tell:
         recordings, rig = load(args, tell)
         from twin.diagnosis import diagnose, result
+        from twin.diagnosis.change import changes_sentence, compare_models
         from twin.estimation import estimate
         from twin.io import files
         from twin.io.recording import as_told, check_units
@@ -32,6 +34,9 @@ def _diagnose(args: argparse.Namespace) -> int:
             recordings, structure, {} if given is None else estimate.held_parameters(given),
             progress=lambda s, x: tell(s, 0.05 + 0.9 * x), closed=args.closed,
         )  # fmt: skip
+        if given is not None and given.fitted and d.before.fitted:
+            changes = compare_models(given, d.before)
+            d = replace(d, changes=changes.found, remarks=(changes_sentence(changes), *d.remarks))
         page = ""
         if args.report is not None:
             from twin.report import html

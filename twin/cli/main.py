@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from typing import NoReturn
 
-from twin.cli import control, cosim, diagnose, export, identify, replay, run
+from twin.cli import control, cosim, diagnose, export, identify, replay, run, track
 from twin.cli.command import Command
 from twin.cli.output import printable
 from twin.errors import BadInput
@@ -32,6 +32,7 @@ COMMANDS: tuple[Command, ...] = (
     control.COMMAND,
     cosim.COMMAND,
     replay.CHECK,
+    track.COMMAND,
 )
 
 

@@ -17,6 +17,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,12 +86,15 @@ class Changes:
         Difference of each parameter over its standard error, by itself.
     p_value : float
         Of the hypothesis that nothing changed.
+    explained : float
+        Chi-square that the changes found remove.
     """
 
     found: tuple[Change, ...]
     undetermined: tuple[str, ...]
     standardised: Mapping[str, float]
     p_value: float
+    explained: float
 
 
 @dataclass(frozen=True)
@@ -195,7 +199,7 @@ def compare_models(before: Model, after: Model, false_alarms: float = FALSE_ALAR
     BadInput
         Where the structures or units differ, or a model has no standard errors.
     """
-    if before.structure != after.structure:
+    if before.structure.named != after.structure.named:
         raise BadInput(f"the models differ in structure: {before.structure}, and {after.structure}")
     if (before.axis_unit, before.input_unit) != (after.axis_unit, after.input_unit):
         raise BadInput("the models differ in their units")
@@ -205,7 +209,7 @@ def compare_models(before: Model, after: Model, false_alarms: float = FALSE_ALAR
     lost = tuple(n for n in shared if _undetermined(before, n) or _undetermined(after, n))
     names = [n for n in shared if n not in lost]
     if not names:
-        return Changes((), lost, {}, 1.0)
+        return Changes((), lost, {}, 1.0, 0.0)
     coordinates = _coordinates(before, after, names)
     d = np.array([c.difference for c in coordinates])
     spread = _spread(before, names, coordinates) + _spread(after, names, coordinates)
@@ -215,7 +219,7 @@ def compare_models(before: Model, after: Model, false_alarms: float = FALSE_ALAR
     if np.count_nonzero(inertia) > 1:
         directions[INERTIA] = inertia
     chosen, rivals = _chosen(d, information, directions, false_alarms)
-    _, sizes, known = _left(d, information, _columns(directions, chosen, len(d)))
+    left, sizes, known = _left(d, information, _columns(directions, chosen, len(d)))
     by_name = dict(zip(names, coordinates, strict=True))
     found = [
         _change(name, float(sizes[i]), math.sqrt(known[i, i]), by_name, after, rivals[name])
@@ -227,7 +231,31 @@ def compare_models(before: Model, after: Model, false_alarms: float = FALSE_ALAR
         lost,
         dict(zip(names, (d / np.sqrt(np.diag(spread))).tolist(), strict=True)),
         float(chi2.sf(chi_square, len(names))),
+        chi_square - left,
     )
+
+
+def to_json(changes: Sequence[Change]) -> list[dict[str, Any]]:
+    """Changes as the contract's JSON."""
+    return [
+        {
+            "parameter": c.parameter, "before": c.before, "after": c.after, "interval": list(c.interval),
+            "unit": c.unit, "says": c.says, "rivals": list(c.rivals),
+        }
+        for c in changes
+    ]  # fmt: skip
+
+
+def changes_sentence(changes: Changes) -> str:
+    """What changed since the model was made, and what this recording cannot say, in plain words."""
+    lost = [n.replace("_", " ") for n in changes.undetermined]
+    unknown = f" This recording does not determine the {', the '.join(lost)}." if lost else ""
+    if not changes.found:
+        return f"None of the model's parameters changed.{unknown}"
+    said = "; ".join(c.says for c in changes.found)
+    rivals = sorted({r.replace("_", " ") for c in changes.found for r in c.rivals})
+    doubt = f" A change of the {', or of the '.join(rivals)} would do the same." if rivals else ""
+    return f"Since the model was made: {said}.{doubt}{unknown}"
 
 
 def _chosen(

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.diagnosis import change
+from twin.diagnosis.change import Change
 from twin.diagnosis.residual_torque import MissingTorque, Segment, TorqueShape
 from twin.io.recording import Recording, faults_of
 from twin.model.fitted_model import Model
@@ -113,6 +115,7 @@ class Diagnosis:
     undecided: tuple[Undecided, ...] = ()
     remarks: tuple[str, ...] = ()  # sentences: criteria that disagree, what the recording cannot fix
     seconds: Mapping[str, float] = field(default_factory=dict)  # per stage
+    changes: tuple[Change, ...] = ()  # from a model that was given to what this recording asks for
 
     def __repr__(self) -> str:
         names = ", ".join(f"{f.id} ({100 * f.probability:.0f} %)" for f in self.findings) or "nothing"
@@ -159,6 +162,7 @@ def to_json(diagnosis: Diagnosis, experiment_file: str = "") -> dict[str, Any]:
             for u in d.undecided
         ],
         "remarks": list(d.remarks),
+        "changes": change.to_json(d.changes),
         "seconds": dict(d.seconds),
     }
 

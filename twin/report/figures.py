@@ -70,7 +70,7 @@ _STYLE = {
 # ---- from matplotlib to the page ----
 
 
-def _svg(draw: Callable[[Figure], None], width: float, height: float, says: str) -> str:
+def draw_svg(draw: Callable[[Figure], None], width: float, height: float, says: str) -> str:
     """Draw, and make the SVG fit to stand inside HTML: no addresses, no fonts and no names of its own."""
     with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(width, height))
@@ -239,7 +239,9 @@ def overlay(diagnosis: Diagnosis) -> str:
         unique = dict(zip(labels, handles, strict=True))
         figure.legend(unique.values(), unique.keys(), loc="outside upper left", ncols=3, borderpad=0.0)
 
-    return _svg(draw, WIDTH, 4.6, "Recording against the free-running simulations before and after, and their errors")
+    return draw_svg(
+        draw, WIDTH, 4.6, "Recording against the free-running simulations before and after, and their errors"
+    )
 
 
 def missing_over_time(diagnosis: Diagnosis) -> str:
@@ -268,7 +270,7 @@ def missing_over_time(diagnosis: Diagnosis) -> str:
         panels[0].set_ylabel(f"missing torque, {unit}")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2, borderpad=0.0)
 
-    return _svg(draw, WIDTH, 2.6, "Missing torque over time, before and after; the stretches of misfit are shaded")
+    return draw_svg(draw, WIDTH, 2.6, "Missing torque over time, before and after; the stretches of misfit are shaded")
 
 
 def _around(segment: Segment) -> tuple[float, float]:
@@ -330,7 +332,9 @@ def shapes(diagnosis: Diagnosis) -> str:
             small.tick_params(labelsize=7.5, labelleft=False)
             small.xaxis.label.set_fontsize(8)
 
-    return _svg(draw, WIDTH, 3.7, "Missing torque over the state in which it lives, with bands of two standard errors")
+    return draw_svg(
+        draw, WIDTH, 3.7, "Missing torque over the state in which it lives, with bands of two standard errors"
+    )
 
 
 def pieces(found: TwoStage, output_unit: str) -> str:
@@ -360,7 +364,7 @@ def pieces(found: TwoStage, output_unit: str) -> str:
         right.set_ylabel("b, 1/s")
         right.set_title("b of each piece and of all together")
 
-    return _svg(draw, WIDTH, 2.9, "Two-stage estimate: transients in mesh and the b of each")
+    return draw_svg(draw, WIDTH, 2.9, "Two-stage estimate: transients in mesh and the b of each")
 
 
 def tracking(ran: Tracking, axis_unit: str, input_unit: str) -> str:
@@ -382,7 +386,7 @@ def tracking(ran: Tracking, axis_unit: str, input_unit: str) -> str:
         figure.align_ylabels()
         figure.legend(loc="outside upper left", ncols=2, borderpad=0.0)
 
-    return _svg(draw, WIDTH, 4.0, "Closed loop: reference and link, error and command")
+    return draw_svg(draw, WIDTH, 4.0, "Closed loop: reference and link, error and command")
 
 
 def experiment(found: Experiment, input_unit: str) -> str:
@@ -395,7 +399,7 @@ def experiment(found: Experiment, input_unit: str) -> str:
         axes.set_xlabel("time, s")
         axes.set_ylabel(f"command, {_label(input_unit)}")
 
-    return _svg(draw, WIDTH, 2.0, "The input to record next")
+    return draw_svg(draw, WIDTH, 2.0, "The input to record next")
 
 
 # ---- the chain of stations ----

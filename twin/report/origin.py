@@ -55,12 +55,13 @@ def trace_origin(
     """
     epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
     made = datetime.fromtimestamp(int(epoch), UTC) if epoch.isdigit() else datetime.now(UTC)
-    read = tuple((p.name, _digest(p)) for p in inputs if p.is_file())
+    read = tuple((p.name, file_digest(p)) for p in inputs if p.is_file())
     return Origin(
         version("twin"), made.isoformat(timespec="seconds"), command, read, tuple(outputs), tuple(next_commands)
     )
 
 
-def _digest(path: Path) -> str:
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
