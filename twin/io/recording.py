@@ -17,6 +17,7 @@ from twin.io.manifest import Entry, entries_of
 from twin.io.rig_file import Clock, Column, Direction, LoopRig, Rig, guess_rig, guess_time, read_rig
 from twin.io.tables.formats import open_tables
 from twin.io.tables.table import Table, listing
+from twin.io.units import TIME_UNITS
 
 __all__ = [
     "Fault", "FloatArray", "Loop", "Recording", "Rig", "command_of", "driven", "known_quantities", "load", "read_rig",
@@ -25,6 +26,10 @@ __all__ = [
 FloatArray = npt.NDArray[np.float64]
 
 _LEAST_SAMPLES = 50
+#: The shortest sample time of any logger of an axis, s, and what sample times usually are.
+_FASTEST, _USUAL = 1e-7, (1e-5, 0.2)
+#: A converted reading or input beyond this is no number of an axis, but the mark of a fault or an overflow.
+_LARGEST = 1e12
 #: A sample time, s, a duty, %, and a pause, s, beyond which a unit is wrong or a cell is bad.
 _SLOWEST, _FULL, _PAUSE = 0.5, 1e4, 1e5
 _NOMINAL = "supply_nominal"
@@ -338,12 +343,13 @@ def _check_sense(
 ) -> None:
     """Raises BadInput for numbers that no axis makes, which a wrong unit or a bad cell does."""
     steps = np.diff(time)
-    step = float(np.median(steps)) if steps.size else 0.0
-    if step > _SLOWEST:
+    step = float(np.median(steps)) if steps.size else _FASTEST
+    if not _FASTEST <= step <= _SLOWEST:
         said = f"column '{clock.column}'" if clock.column is not None else "sample_time"
+        why = "too slow to see an axis move" if step > _SLOWEST else "faster than any logger"
         raise BadInput(
-            f"{table.name}: {said} makes {step:g} s from sample to sample, too slow to see an axis move; "
-            f'if it is in ms, say unit = "ms" in [time] of {"a rig.toml" if rig.assumed else rig.name}'
+            f"{table.name}: {said} makes {step:g} s from sample to sample, {why}; "
+            f"{_other_units(step / clock.factor)} in [time] of {'a rig.toml' if rig.assumed else rig.name}"
         )
     if steps.max(initial=0.0) > _PAUSE:
         row = int(rows[int(np.argmax(steps)) + 1])
@@ -357,6 +363,14 @@ def _check_sense(
             f"{table.name}: {table.where(int(rows[beyond[0]]))}, column '{rig.input.name}': {drive[beyond[0]]:.6g} % "
             "is far beyond full drive; correct or empty it, or give [input] full_scale in the rig file"
         )
+
+
+def _other_units(step: float) -> str:
+    """What to do about a wrong unit of time: the units that make sense of a step, as logged."""
+    sensible = {u: step * factor for u, (_, factor) in TIME_UNITS.items() if _USUAL[0] <= step * factor <= _USUAL[1]}
+    if not sensible:
+        return "give the right unit or scale of time"
+    return ", or ".join(f'if it is in {u} ({seconds:.3g} s), say unit = "{u}"' for u, seconds in sensible.items())
 
 
 def _clock(table: Table, clock: Clock) -> Clock:
@@ -407,7 +421,13 @@ def _time(
     rows = np.flatnonzero(np.isfinite(stamps))
     if rows.size < 2:
         raise BadInput(f"{table.name}: column '{column}' holds fewer than two time stamps")
-    time: FloatArray = np.asarray((stamps[rows] - stamps[rows[0]]) * clock.factor, dtype=np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        time: FloatArray = np.asarray((stamps[rows] - stamps[rows[0]]) * clock.factor, dtype=np.float64)
+    if not np.isfinite(time).all():
+        row = int(rows[int(np.argmin(np.isfinite(time)))])
+        raise BadInput(
+            f"{table.name}: {table.where(row)}, column '{column}': {stamps[row]:g} is no time stamp; correct it"
+        )
     step = np.diff(time)
     back = np.flatnonzero(step < 0)
     if back.size:
@@ -464,7 +484,7 @@ def _convert(raw: FloatArray, column: Column) -> FloatArray:
         raw = np.where(raw >= 2.0 ** (column.signed_bits - 1), raw - 2.0**column.signed_bits, raw)
     with np.errstate(over="ignore", invalid="ignore"):
         values = (raw - column.offset) * (column.scale * column.factor) + column.zero
-    return np.where(np.isfinite(values), values, np.nan)
+    return np.where(np.abs(values) < _LARGEST, values, np.nan)
 
 
 def _known(rig: Rig, table: Table, entry: Entry) -> dict[str, float]:
