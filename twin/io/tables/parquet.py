@@ -1,4 +1,4 @@
-"""Parquet through pyarrow: only the columns asked for are read; stamps become seconds."""
+"""Parquet through pyarrow: only the columns asked for are read; stamps become seconds of the first one's day."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -61,11 +61,12 @@ def _reader(path: Path, pyarrow: Any, name: str, rows: int, unit: str) -> Callab
         missing = np.asarray(column.is_null().to_numpy(), dtype=bool)
         width = pyarrow.int32() if column.type.bit_width == 32 else pyarrow.int64()
         ticks = np.asarray(column.cast(width).fill_null(0).to_numpy(), dtype=np.int64)
-        # subtracted as integers: a double cannot hold nanoseconds since 1970
-        first = int(ticks[~missing][0]) if not missing.all() else 0
-        seconds = (ticks - first).astype(np.float64) / _PER_SECOND[unit] + first / _PER_SECOND[unit]
-        if pyarrow.types.is_timestamp(column.type):
-            seconds -= first / _PER_SECOND[unit]
+        origin = 0
+        if pyarrow.types.is_timestamp(column.type) and not missing.all():
+            # from the midnight before the first: a double cannot hold nanoseconds since 1970
+            day = 86400 * int(_PER_SECOND[unit])
+            origin = int(ticks[~missing][0]) // day * day
+        seconds = (ticks - origin).astype(np.float64) / _PER_SECOND[unit]
         return np.where(missing, np.nan, seconds)
 
     return lambda: call_library(path, "Parquet", work)

@@ -179,6 +179,7 @@ def from_signals(
     signal: Callable[[str], Signal],
     units: Mapping[str, str] | None = None,
     test: str = "",
+    window: tuple[float, float] = (-np.inf, np.inf),
 ) -> Table:
     """A table of signals that may each have a clock of their own: their values are held at the stamps of the first.
 
@@ -188,6 +189,8 @@ def from_signals(
         As in `Table`.
     signal
         The stamps (s) and values of a name.
+    window
+        Start and end of the test, s: the rows are the stamps of the first signal from start on and before the end.
 
     Raises
     ------
@@ -200,13 +203,16 @@ def from_signals(
     def read(wanted: Sequence[str]) -> list[FloatArray]:
         main = next(n for n in wanted if n != LOG_TIME)
         stamps = signal(main)[0]
+        inside = (stamps >= window[0]) & (stamps < window[1])
+        if not inside.any():
+            raise BadInput(f"{name}: column '{main}' holds no number; record it, or name another")
         columns = []
         for n in wanted:
             own, values = (stamps, stamps) if n == LOG_TIME else signal(n)
             if not own.size:
                 raise BadInput(f"{name}: column '{n}' holds no number; record it, or name another")
             same = own.shape == stamps.shape and np.array_equal(own, stamps)
-            columns.append(values if same else held(own, values, stamps))
+            columns.append(values[inside] if same else held(own, values, stamps[inside]))
         return columns
 
     return Table(name, tuple(names), read, clock=LOG_TIME, units=units or {}, test=test)

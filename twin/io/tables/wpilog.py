@@ -50,10 +50,13 @@ def open_wpilog(path: Path) -> list[Table]:
     signals = {name: _signals(e) for name, e in zip(names, numeric, strict=True)}
     flat = {f"{name}{index}": signal for name, several in signals.items() for index, signal in several.items()}
     units = {name: unit for name, e in zip(names, numeric, strict=True) if (unit := _unit(e))}
-    state = next((e for e in entries if _STATE in e.name and e.kind == "string"), None)
+    state = next((e for e in entries if _STATE in e.name and e.kind == "string" and e.stamps), None)
     if state is None:
         return [from_signals(str(path), list(flat), flat.__getitem__, units)]
-    tables = [_cut(path, flat, units, *span) for span in _spans(state)]
+    tables = [
+        from_signals(f"{path}: {test}", list(flat), flat.__getitem__, units, test, (start, end))
+        for test, start, end in _spans(state)
+    ]
     if not tables:
         raise BadInput(f"{path}: no test ran, '{state.name}' says none all the time; give a log of SysId's routine")
     return tables
@@ -85,19 +88,6 @@ def _spans(state: _Entry) -> list[tuple[str, float, float]]:
         runs[name] += 1
         unique.append((name if runs[name] == 1 else f"{name} {runs[name]}", start, stop))
     return unique
-
-
-def _cut(path: Path, signals: dict[str, Signal], units: dict[str, str], test: str, start: float, end: float) -> Table:
-    def signal(name: str) -> Signal:
-        stamps, values = signals[name]
-        inside = (stamps >= start) & (stamps < end)
-        # what was last said before the test begins still holds
-        before = np.flatnonzero(stamps < start)
-        if before.size and not inside.all():
-            inside[before[-1]] = True
-        return np.maximum(stamps[inside], start), values[inside]
-
-    return from_signals(f"{path}: {test}", list(signals), signal, units, test)
 
 
 def _signals(entry: _Entry) -> dict[str, Signal]:
