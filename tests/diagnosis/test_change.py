@@ -55,7 +55,7 @@ def test_one_parameter_that_changed_is_named_with_its_size(name: str) -> None:
 
 def test_an_inertia_that_grew_is_not_five_other_things() -> None:
     rng = np.random.default_rng(3)
-    over = ("input_gain", "viscous_friction", "gravity_gain", "coulomb_friction", "motor_share")
+    over = ("input_gain", "viscous_friction", "gravity_gain", "coulomb_friction")
     right = 0
     for _ in range(20):
         model = correlated(model_of("gravity", "coulomb_friction"), rng)
@@ -68,7 +68,7 @@ def test_a_payload_changes_inertia_and_not_the_weight_of_the_rest() -> None:
     """A payload twice as heavy: the inertia doubles, gravity over inertia stays, and both are said."""
     rng = np.random.default_rng(4)
     model = correlated(model_of("gravity", "coulomb_friction"), rng)
-    over = dict.fromkeys(("input_gain", "viscous_friction", "coulomb_friction", "motor_share"), 0.5)
+    over = dict.fromkeys(("input_gain", "viscous_friction", "coulomb_friction"), 0.5)
     found = compare_models(drawn(model, rng), drawn(model, rng, **over)).found
     assert {c.parameter for c in found} == {INERTIA, "gravity_gain"}
 
@@ -76,10 +76,19 @@ def test_a_payload_changes_inertia_and_not_the_weight_of_the_rest() -> None:
 def test_what_a_fit_cannot_fix_is_said_to_be_that() -> None:
     model = model_of()
     wide = model.covariance.copy()
-    i = model.fitted.index("motor_share")
-    wide[i, i] = 25.0
+    i = model.fitted.index("dead_band_reverse")
+    wide[i, i] = math.inf
     found = compare_models(model, replace(model, covariance=wide))
-    assert found.undetermined == ("motor_share",) and found.found == ()
+    assert found.undetermined == ("dead_band_reverse",) and found.found == ()
+
+
+def test_a_gap_whose_profile_is_wide_has_not_changed() -> None:
+    """The curvature at the maximum promises 1 %, the profile of the likelihood says a factor of two."""
+    model = replace(model_of(), notes={}, intervals={})
+    moved = model.with_values({"backlash_gap": 1.5 * model.values["backlash_gap"]})
+    assert [c.parameter for c in compare_models(model, moved).found] == ["backlash_gap"]
+    wide = {"backlash_gap": (0.5 * moved.values["backlash_gap"], 2.0 * moved.values["backlash_gap"])}
+    assert compare_models(model, replace(moved, intervals=wide)).found == ()
 
 
 def test_an_angle_is_compared_around_the_circle() -> None:

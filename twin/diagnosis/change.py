@@ -39,8 +39,12 @@ NOT_DETERMINED = 1.0
 CANNOT_TELL = 2.0 * math.log(20.0)
 #: Directions that one answer may name.
 MOST_CHANGES = 3
-#: Parameters that belong to one recording and say nothing about the axis.
-_OF_ONE_RECORDING = ("load_time", "disturbance_phase", "pulse_start", "pulse_end")
+#: Parameters that are not compared: those that belong to one recording, and those of how motor and link bounce. Of
+#: the latter the likelihood has many maxima, and a standard error describes only one of them.
+NOT_COMPARED = (
+    "load_time", "disturbance_phase", "pulse_start", "pulse_end", "tooth_frequency", "tooth_damping", "motor_share",
+    "friction_share", "dry_share", "shaft_share",
+)  # fmt: skip
 INERTIA = "inertia_ratio"
 
 
@@ -125,7 +129,7 @@ class _Coordinate:
     @property
     def per_inertia(self) -> float:
         """Change of the coordinate for a unit of the logarithm of the inertia."""
-        over = "over inertia" in self.parameter.meaning or self.parameter.name in ("input_gain", "motor_share")
+        over = "over inertia" in self.parameter.meaning or self.parameter.name == "input_gain"
         if not over:
             return 0.0
         return -1.0 if self.by_ratio else -self.before
@@ -155,7 +159,14 @@ def _spread(model: Model, names: Sequence[str], coordinates: Sequence[_Coordinat
     """Covariance (n, n) of the coordinates in one fit."""
     rows = [model.fitted.index(n) for n in names]
     slopes = np.array([c.slope(model.values[n]) for n, c in zip(names, coordinates, strict=True)])
-    return np.asarray(model.covariance[np.ix_(rows, rows)] * np.outer(slopes, slopes))
+    covariance = model.covariance[np.ix_(rows, rows)] + np.diag([_excess(model, n) for n in names])
+    return np.asarray(covariance * np.outer(slopes, slopes))
+
+
+def _excess(model: Model, name: str) -> float:
+    """By how much the profile of the likelihood, where it was drawn, is wider than the standard error; a variance."""
+    low, high = model.intervals.get(name, (0.0, 0.0))
+    return max(0.0, ((high - low) / (2.0 * 1.96)) ** 2 - model.std(name) ** 2)
 
 
 def _information(spread: FloatArray) -> FloatArray:
@@ -203,7 +214,7 @@ def compare_models(before: Model, after: Model, false_alarms: float = FALSE_ALAR
         raise BadInput(f"the models differ in structure: {before.structure}, and {after.structure}")
     if (before.axis_unit, before.input_unit) != (after.axis_unit, after.input_unit):
         raise BadInput("the models differ in their units")
-    shared = [n for n in before.fitted if n in after.fitted and n not in _OF_ONE_RECORDING]
+    shared = [n for n in before.fitted if n in after.fitted and n not in NOT_COMPARED]
     if not shared:
         raise BadInput("one of the models holds no standard errors: make both with twin identify")
     lost = tuple(n for n in shared if _undetermined(before, n) or _undetermined(after, n))
