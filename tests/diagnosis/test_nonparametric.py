@@ -480,9 +480,10 @@ def test_a_name_that_two_stretches_speak_for_is_dropped(monkeypatch):
     lucky = np.concatenate([[300.0, 90.0], 10.0 * rng.standard_normal(40) - 2.0])
     for gains, dropped in ((lucky, True), (lucky[:9], False), (np.abs(lucky), False)):
         monkeypatch.setattr(diagnose.cross_validation, "block_gains", lambda *a, gains=gains: gains)
-        lasting, _, chances = diagnose._drop_unpredictive_names(found, first.structure)
+        lasting, _, failed = diagnose._drop_unearned_names(found, first.structure)
         assert (lasting.last.structure == first.structure) is dropped
-        assert set(chances) == (set() if dropped or len(gains) < thresholds.MIN_BLOCKS else {"quadratic_drag"})
+        assert [n.id for n in failed] == ["quadratic_drag"] * dropped
+        assert all(n.figure > thresholds.NAME_MAX_P_VALUE for n in failed)
 
 
 def test_of_two_names_that_do_the_same_one_is_dropped(monkeypatch):
@@ -500,7 +501,7 @@ def test_of_two_names_that_do_the_same_one_is_dropped(monkeypatch):
         return beside if len(asked) == 1 else {"quadratic_drag": 1e-6}
 
     monkeypatch.setattr(diagnose, "_name_p_values", chances)
-    lasting, _, _ = diagnose._drop_unpredictive_names(found, first.structure)
+    lasting, _, _ = diagnose._drop_unearned_names(found, first.structure)
     assert "quadratic_drag" in lasting.last.structure and "friction_asymmetry" not in lasting.last.structure
     assert asked == [both.structure.named, lasting.last.structure.named]
     # It is held against its absence, and what could stand in its place does so without the other, too.
@@ -517,7 +518,7 @@ def test_a_name_that_a_longer_memory_makes_nothing_of_is_not_given(key, kept):
         last = replace(last, values={**last.values, "quadratic_drag": 0.0})
     swap = Alternative("quadratic_drag", "gravity", last)
     found = SearchResult(first, last, (), FitProblem((case,)), (first,), (swap,))
-    lasting, (cases, point), _ = diagnose._drop_unpredictive_names(found, first.structure)
+    lasting, (cases, point), _ = diagnose._drop_unearned_names(found, first.structure)
     assert point.structure == lasting.last.structure and len(cases.recordings) == 1
     if kept:
         assert lasting is found
@@ -525,7 +526,7 @@ def test_a_name_that_a_longer_memory_makes_nothing_of_is_not_given(key, kept):
         assert lasting.last.structure == first.structure
         assert (lasting.smaller_models, lasting.alternatives) == ((), ())
         assert lasting.last.deviance <= first.deviance + 1.0
-    assert diagnose._drop_unpredictive_names(replace(found, last=last), last.structure)[0].last is last
+    assert diagnose._drop_unearned_names(replace(found, last=last), last.structure)[0].last is last
 
 
 def test_what_lasts_is_asked_of_a_filter_that_forgets_no_faster_than_the_one_that_chose(monkeypatch):

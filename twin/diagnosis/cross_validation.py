@@ -60,6 +60,12 @@ def block_gains(problem: FitProblem, smaller: Fit, larger: Fit) -> FloatArray:
     return np.concatenate([g for fold in each(left_out, range(thresholds.CROSS_VALIDATION_FOLDS)) for g in fold])
 
 
+def recording_gains(problem: FitProblem, smaller: Fit, larger: Fit) -> FloatArray:
+    """By how much the larger model does better on each recording (M,)."""
+    pairs = zip(*(_reading_losses(problem, p, smaller.scale) for p in (smaller, larger)), strict=True)
+    return np.array([float(np.sum(one) - np.sum(other)) for one, other in pairs])
+
+
 def gain_p_value(problem: FitProblem, smaller: Fit, larger: Fit) -> float:
     """The chance that the larger model would do better on as many stretches, were there nothing to what it adds; or
     that all of the largest changes would be gains, as where it acts in one place only.

@@ -12,6 +12,7 @@ import numpy as np
 
 from twin.codegen import latex
 from twin.diagnosis import (
+    acceptance,
     cross_validation,
     curve_substitution,
     experiment_design,
@@ -27,7 +28,7 @@ from twin.diagnosis.forward_selection import Progress, SearchResult
 from twin.diagnosis.holdout import RecordingPart
 from twin.diagnosis.nonparametric import TERM_KINDS, CurveTerm
 from twin.diagnosis.plausibility import is_plausible
-from twin.diagnosis.result import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
+from twin.diagnosis.result import Diagnosis, Estimate, Experiment, Finding, Fitness, NotBorneOut, Trace, Undecided
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN, pages
 from twin.errors import BadInput
 from twin.estimation import likelihood, local_optima, maximum_likelihood, multistart, optimizer, preparation
@@ -318,24 +319,52 @@ def _name_p_values(found: SearchResult, first: Structure) -> dict[str, float]:
     return out
 
 
-def _drop_unpredictive_names(
-    found: SearchResult, first: Structure
-) -> tuple[SearchResult, tuple[FitProblem, Fit], dict[str, float]]:
-    """The search without the names of its last model that foretell nothing, and those that a filter makes nothing of
-    which remembers for as long as that model bears: what is there acts for longer than a bounce. What that filter
-    foresees, and by what chance the names that last would foretell as well were there nothing to them.
+def _unearned(found: SearchResult, foreseen: tuple[FitProblem, Fit], first: Structure) -> list[NotBorneOut]:
+    """The names beyond the first model that fail a test: all that do nothing, or else the one that fails most clearly.
+
+    Of two that do the same neither predicts anything beside the other: one goes, the other is asked anew.
     """
+    idle = _idle_names(*foreseen, first)
+    if idle:
+        reason = "with the longest memory that the model bears it is as likely without this effect"
+        return [NotBorneOut(i, reason, 0.0) for i in idle]
+    lesser = {i: [q for q in found.smaller_models if i not in q.structure] for i in found.last.structure.named}
+    best = {i: min(fits, key=lambda q: q.deviance) for i, fits in lesser.items() if fits and i not in first}
+    if failed := acceptance.not_borne_out(*foreseen, first, best):
+        return [failed]
+    chances = _name_p_values(found, first)
+    worst = max(chances, key=lambda e: chances[e], default="")
+    if worst and chances[worst] > thresholds.NAME_MAX_P_VALUE:
+        reason = f"it predicts parts that were left out no better than chance may (p = {chances[worst]:.2g})"
+        return [NotBorneOut(worst, reason, chances[worst])]
+    return []
+
+
+def _drop_unearned_names(
+    found: SearchResult, first: Structure
+) -> tuple[SearchResult, tuple[FitProblem, Fit], list[NotBorneOut]]:
+    """The search without the names of its last model that its figures do not bear out, the last model with the longest
+    memory that it bears, and the names that failed.
+    """
+    failed: list[NotBorneOut] = []
     while True:
         foreseen = _fit_with_longest_memory(found)
-        idle, chances = _idle_names(*foreseen, first), dict[str, float]()
-        if not idle:
-            chances = _name_p_values(found, first)
-            # Of two that do the same neither foretells anything beside the other: one goes, the other is asked anew.
-            worst = max(chances, key=lambda e: chances[e], default="")
-            idle = [worst] if worst and chances[worst] > thresholds.NAME_MAX_P_VALUE else []
-        if not idle:
-            return found, foreseen, chances
-        found = forward_selection.drop_effects(found, idle, foreseen[1].values)
+        unearned = _unearned(found, foreseen, first)
+        if not unearned:
+            return found, foreseen, failed
+        failed += unearned
+        found = forward_selection.drop_effects(found, [n.id for n in unearned], foreseen[1].values)
+
+
+def _unequal_dead_bands(last: Fit, unit: str) -> list[str]:
+    """A sentence on dead-bands that differ by more than three standard errors; none where they are about equal."""
+    if not set(forward_selection.DEAD_BANDS) <= set(last.free) or not forward_selection.are_dead_bands_unequal(last):
+        return []
+    forward, reverse = (last.values[n] for n in forward_selection.DEAD_BANDS)
+    return [
+        f"The dead-bands are unequal: {forward:.3g} {unit} forwards and {reverse:.3g} {unit} backwards, as a drive or "
+        "friction that differs between the directions makes them, or a constant torque."
+    ]
 
 
 def _next_experiment(found: SearchResult) -> Experiment:
@@ -419,7 +448,11 @@ def diagnose(
         clock = now
 
     train, held_out, found, said = _split_and_search(recordings, first, held, candidates, progress)
-    found, foreseen, chances = _drop_unpredictive_names(found, first)
+    # Dry friction in the place of the dead-band has proved itself against that.
+    replaced = "dead_band" in first and "dead_band" not in found.last.structure
+    ground = first.without("dead_band").with_("coulomb_friction") if replaced else first
+    found, foreseen, failed = _drop_unearned_names(found, ground)
+    chances = _name_p_values(found, ground)
     seen = found.last
     lap("search")
     case, lacking = _worst_recording(found)
@@ -445,6 +478,10 @@ def diagnose(
         verdict = "partly_explained"
         said.append(f"What is left of the missing torque in {', '.join(others)} goes with something still.")
     lap("term without a name")
+    # What was dropped may have come back in another's place.
+    failed = [n for n in failed if n.id not in found.last.structure]
+    said += [f"{n.id} was tried and is not borne out: {n.reason}." for n in failed]
+    said += _unequal_dead_bands(found.last, recordings[0].input_unit)
     tell("fitting both models to the end", 0.87)
     judged, last_point = foreseen if found.last is seen else _fit_with_longest_memory(found)
     # Of a model without the right physics nobody can say what it would have to foresee.
@@ -497,6 +534,7 @@ def diagnose(
         undecided=_undecided(found),
         remarks=(*_remarks(found, fit), *said),
         seconds=seconds,
+        not_borne_out=tuple(failed),
     )
 
 

@@ -29,6 +29,9 @@ from twin.model.stepper import Structure
 from twin.parallel import each
 
 Progress = Callable[[str, float], None]
+#: Units of inputs that no pulse-width stage cuts: an amplifier that is linear loses no command.
+LINEAR_INPUTS = ("V", "A", "N*m", "N")
+DEAD_BANDS = ("dead_band_forward", "dead_band_reverse")
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +171,9 @@ def search(
     problem = contact_masking.without_contact_mask(polished)
     best = local_optima.refit(problem.at(local_optima.judging_process_noise(problem, fine)), first, fine.values)
     candidates = screening.testable_candidates(problem, candidates)
+    friction = _friction_for_dead_band(problem, best, candidates)
+    own, first = first, first.without("dead_band").with_("coulomb_friction") if friction else first
+    best = friction or best
     found = _search_from(problem, best, (), first, candidates, tell)
     for this in _narrow_rounds(problem, found, best.process_noise):
         tell(f"beginning anew with {EFFECTS[this.rivals[0].added[0]].title}", 0.7)
@@ -182,6 +188,10 @@ def search(
     wider = _containing_alternatives(problem, best, first, candidates, rounds)
     best, swaps = _prefer_containing(problem, best, found.alternatives, wider)
     swaps = [*swaps, *_offset_for_dead_bands(problem, best, candidates)]
+    if friction:
+        begun = local_optima.refit(problem.at(best.process_noise), own, fine.values)
+        swaps += _dead_band_for_friction(problem, best, begun)
+        found = replace(found, first=begun, smaller_models=(*found.smaller_models, begun))
     tell("looking closer", 0.8)
     return refine_with_short_memory(replace(found, last=best, alternatives=tuple(swaps)), candidates)
 
@@ -426,20 +436,24 @@ def _prefer_containing(
     return last, [*swaps, *wider]
 
 
+def are_dead_bands_unequal(fit: Fit) -> bool:
+    """Whether the dead-bands of the two directions differ by three standard errors or more."""
+    one, other = (fit.free.index(n) for n in DEAD_BANDS)
+    known, differ = fit.robust_covariance, fit.values[DEAD_BANDS[1]] - fit.values[DEAD_BANDS[0]]
+    variance = known[one, one] + known[other, other] - 2.0 * known[one, other]
+    return bool(differ**2 >= thresholds.UNEQUAL_DEAD_BAND_DEVIATIONS**2 * variance)
+
+
 def _offset_for_dead_bands(problem: FitProblem, last: Fit, candidates: Sequence[str]) -> list[Alternative]:
     """The last model with dead-bands that are equal and a constant torque in the place of what they differ by, where
     that fits about as well: as long as the drive pushes, the torque only shifts both.
     """
-    sides = ("dead_band_forward", "dead_band_reverse")
     offered = "constant_offset" in candidates and "constant_offset" not in last.structure
-    if not offered or not set(sides) <= set(last.free):
+    if not offered or not set(DEAD_BANDS) <= set(last.free):
         return []
-    one, other = (last.free.index(n) for n in sides)
-    known, differ = last.robust_covariance, last.values[sides[1]] - last.values[sides[0]]
-    if differ**2 < thresholds.UNEQUAL_DEAD_BAND_DEVIATIONS**2 * (
-        known[one, one] + known[other, other] - 2.0 * known[one, other]
-    ):
+    if not are_dead_bands_unequal(last):
         return []
+    differ = last.values[DEAD_BANDS[1]] - last.values[DEAD_BANDS[0]]
     longer, equal = last.structure.with_("constant_offset"), torque_regression.equal_dead_bands(last.values)
     begun = preparation.complete_values(longer, last.values | equal)
     rows = screening.with_gap_sides([equal], last.structure, last.values, "constant_offset")
@@ -449,9 +463,47 @@ def _offset_for_dead_bands(problem: FitProblem, last: Fit, candidates: Sequence[
         lambda row: optimizer.levenberg_marquardt(problem.at(last.process_noise), longer, begun | row, free), rows
     )
     found = min(fits, key=lambda p: p.deviance)
-    level = abs(found.values[sides[1]] - found.values[sides[0]]) < 0.5 * abs(differ)
+    level = abs(found.values[DEAD_BANDS[1]] - found.values[DEAD_BANDS[0]]) < 0.5 * abs(differ)
     stands = level and model_comparison.criterion_difference(last, found) < thresholds.UNDECIDED_MARGIN
     return [Alternative("dead_band", "constant_offset", found)] if stands else []
+
+
+def _friction_for_dead_band(problem: FitProblem, first: Fit, candidates: Sequence[str]) -> Fit | None:
+    """The first model with dry friction in the dead-band's place, for inputs that no pulse-width stage cuts: there the
+    friction is the default.
+
+    A torque is added where that is more likely: dead-bands differ by as much as it moves the axis. None where the
+    friction is no gain over neither of the two, or the dead-band is clearly more likely.
+    """
+    unit = problem.recordings[0].recording.input_unit
+    offered = "coulomb_friction" in candidates and "coulomb_friction" not in first.structure
+    if unit not in LINEAR_INPUTS or not offered or not set(DEAD_BANDS) <= set(first.free):
+        return None
+    bare = first.structure.without("dead_band")
+    level = torque_regression.equal_dead_bands(first.values)
+    lost = first.values["input_gain"] * level["dead_band_forward"]
+    begun = {**first.values, "coulomb_friction": lost, "offset": level["offset"]}
+    structures = [bare, bare.with_("coulomb_friction")]
+    if "constant_offset" in candidates and "constant_offset" not in first.structure:
+        structures.append(structures[1].with_("constant_offset"))
+    same = problem.at(first.process_noise)
+    without, *fits = each(lambda s: local_optima.refit(same, s, begun), structures)
+    unit_of_deviance = model_comparison.overdispersion([first, *fits])
+    best = min(fits, key=lambda p: model_comparison.criterion(p, unit_of_deviance))
+    stands = model_comparison.criterion_difference(first, best) < thresholds.UNDECIDED_MARGIN
+    return best if stands and model_comparison.is_significant(without, fits[0]) else None
+
+
+def _dead_band_for_friction(problem: FitProblem, last: Fit, first: Fit) -> list[Alternative]:
+    """The last model with the first one's dead-band in the place of dry friction; none where another effect needs that
+    friction.
+    """
+    if any("coulomb_friction" in e.includes for e in last.structure.effects) or last.structure == first.structure:
+        return []
+    structure = last.structure.without("coulomb_friction").with_("dead_band")
+    starts = [{**first.values, **last.values}, {**last.values, **first.values}]
+    found = local_optima.best_refit(problem.at(last.process_noise), structure, starts)
+    return [Alternative("coulomb_friction", "dead_band", found)]
 
 
 def _with_better_fit(this: Round, found: Fit) -> Round:

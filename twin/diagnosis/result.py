@@ -86,6 +86,15 @@ class Undecided:
     experiment: str
 
 
+@dataclass(frozen=True)
+class NotBorneOut:
+    """A name that was tried and that its own figures contradict: why, and the figure that it failed by."""
+
+    id: str
+    reason: str
+    figure: float
+
+
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """The answer of `twin diagnose`.
@@ -116,6 +125,7 @@ class Diagnosis:
     remarks: tuple[str, ...] = ()  # sentences: criteria that disagree, what the recording cannot fix
     seconds: Mapping[str, float] = field(default_factory=dict)  # per stage
     changes: tuple[Change, ...] = ()  # from a model that was given to what this recording asks for
+    not_borne_out: tuple[NotBorneOut, ...] = ()  # names that were tried and failed
 
     def __repr__(self) -> str:
         names = ", ".join(f"{f.id} ({100 * f.probability:.0f} %)" for f in self.findings) or "nothing"
@@ -161,6 +171,7 @@ def to_json(diagnosis: Diagnosis, experiment_file: str = "") -> dict[str, Any]:
             {"ids": list(u.ids), "probabilities": list(u.probabilities), "experiment": u.experiment}
             for u in d.undecided
         ],
+        "not_borne_out": [{"id": n.id, "reason": n.reason, "figure": n.figure} for n in d.not_borne_out],
         "remarks": list(d.remarks),
         "changes": change.to_json(d.changes),
         "seconds": dict(d.seconds),

@@ -99,6 +99,13 @@ NAME_CLEAR_P_VALUE = 1e-4
 #: Blocks that are needed for a p-value.
 MIN_BLOCKS = 10
 
+# ---- what a name must bear out (acceptance) ----
+
+#: Standard errors that the size of a name must reach: by chance one in 370 does.
+MIN_SIZE_IN_ERRORS = 3.0
+#: Recordings from which on most of them must be predicted better with a name.
+MIN_RECORDINGS = 3
+
 # ---- what is left in the missing torque (nonparametric) ----
 
 #: p-value of the dependence test below which something is left.

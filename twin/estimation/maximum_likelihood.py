@@ -53,6 +53,10 @@ def _notes(point: Fit, covariance: NDArray[np.float64]) -> dict[str, str]:
             notes[name] = f"the recording cannot fix it: it and {partner} show only together; {_remedy(name, partner)}"
         else:
             notes[name] = f"the recording cannot fix it; {_remedy(name, '')}"
+    if not point.converged and point.free:
+        # Every model has an input gain, and it comes first: what is said of it is read.
+        told = f"the fit did not converge, no value is final: {point.message}"
+        notes[point.free[0]] = "; ".join([told, *filter(None, [notes.get(point.free[0])])])
     return notes
 
 
@@ -84,12 +88,20 @@ def roughness(problem: FitProblem, point: Fit) -> float:
     return float(np.median(np.minimum(np.abs(rise), np.abs(rise - promised))))
 
 
-def to_model(problem: FitProblem, point: Fit, recordings: Sequence[Recording]) -> Model:
-    """The point as a model, with standard errors and where it comes from."""
+def covariance_of(problem: FitProblem, point: Fit) -> NDArray[np.float64]:
+    """Covariance (n, n) of the free parameters: by the jackknife, and wider where the likelihood is rough.
+
+    There the highest of its peaks lies anywhere within the roughness of the parabola's top.
+    """
     covariance = likelihood.jackknife_covariance(problem, point)
-    # Where the likelihood is rough the highest of its peaks lies anywhere within so much of the parabola's top.
     seen = np.isfinite(covariance)
     covariance[seen] += roughness(problem, point) / 3.0 * point.covariance[seen]
+    return covariance
+
+
+def to_model(problem: FitProblem, point: Fit, recordings: Sequence[Recording]) -> Model:
+    """The point as a model, with standard errors and where it comes from."""
+    covariance = covariance_of(problem, point)
     first = recordings[0]
     variance = problem.recordings[0].reading_variance * point.scale
     known = {k: v for k, v in known_quantities(first).items() if v}

@@ -1,0 +1,88 @@
+"""What a fitted name must bear out: a size that its error does not swallow, possible physics, and most recordings.
+
+A likelihood gains also from names that describe something else. Their own figures then show it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from twin.diagnosis import cross_validation, thresholds
+from twin.diagnosis.result import NotBorneOut
+from twin.effects.catalogue import EFFECTS, pages
+from twin.estimation import maximum_likelihood, parameter_bounds
+from twin.estimation.fit import Fit
+from twin.estimation.problem import FitProblem
+from twin.model.stepper import Structure
+
+
+def _names(fit: Fit, first: Structure) -> list[str]:
+    """The names that the fit has beyond the first model."""
+    return [i for i in fit.structure.named if i not in first and EFFECTS[i].screen is not None]
+
+
+def _too_small(problem: FitProblem, fit: Fit, first: Structure) -> Iterator[NotBorneOut]:
+    """The names whose size is less than three of its standard errors."""
+    covariance = maximum_likelihood.covariance_of(problem, fit)
+    for name in _names(fit, first):
+        screen = EFFECTS[name].screen
+        assert screen is not None
+        size = next(p for page in pages(name) for p in page.parameters if p.name == screen.gain)
+        if size.name not in fit.free or (size.neutral is None and size.lower != 0.0):
+            continue
+        value, index = fit.values[size.name] - (size.neutral or 0.0), fit.free.index(size.name)
+        error = math.sqrt(max(float(covariance[index, index]), 1e-300))
+        if abs(value) < thresholds.MIN_SIZE_IN_ERRORS * error:
+            reason = f"its size, {size.name} = {fit.values[size.name]:.3g} ± {error:.2g}, is less than three errors"
+            yield NotBorneOut(name, reason, abs(value) / error)
+
+
+def _impossible(problem: FitProblem, fit: Fit, first: Structure) -> Iterator[NotBorneOut]:
+    """The names whose values no machine has: a time constant at its bound, dry friction that pushes."""
+    for name in _names(fit, first):
+        for p in EFFECTS[name].parameters:
+            at = fit.values[p.name]
+            if p.unit == "s" and p.name in fit.free and at in parameter_bounds.bounds_of(p.name) and at != p.neutral:
+                yield NotBorneOut(name, f"its time constant {p.name} ends at its bound of {at:g} s", at)
+    if "position_dependent_friction" in _names(fit, first):
+        angle = np.concatenate([r.positions for r in problem.recordings]) - fit.values["friction_angle"]
+        least = fit.values["coulomb_friction"] + float(np.min(fit.values["friction_variation"] * np.sin(angle)))
+        if least < -thresholds.LAW_TOLERANCE * abs(fit.values["friction_variation"]):
+            reason = f"dry friction would push along a part of the turn, by as much as {-least:.3g}"
+            yield NotBorneOut("position_dependent_friction", reason, least)
+
+
+def _few_recordings(problem: FitProblem, fit: Fit, lesser: dict[str, Fit]) -> Iterator[NotBorneOut]:
+    """The names that bring a gain in no more than half of several recordings; `lesser` are the fits without each."""
+    if len(problem.recordings) < thresholds.MIN_RECORDINGS:
+        return
+    for name, without in lesser.items():
+        gains = cross_validation.recording_gains(problem, without, fit)
+        better = int(np.count_nonzero(gains > 0.0))
+        if 2 * better <= len(gains):
+            reason = f"only {better} of {len(gains)} recordings are predicted better with it"
+            yield NotBorneOut(name, reason, float(better))
+
+
+def not_borne_out(problem: FitProblem, fit: Fit, first: Structure, lesser: dict[str, Fit]) -> NotBorneOut | None:
+    """The name that the figures contradict most clearly, or none.
+
+    Parameters
+    ----------
+    problem
+        The recordings as the fit was judged.
+    fit
+        The last model, at the memory that it bears.
+    first
+        The first model's structure, whose effects need no proof.
+    lesser
+        For each name the best fit without it.
+    """
+    impossible = next(_impossible(problem, fit, first), None)
+    if impossible is not None:
+        return impossible
+    small = min(_too_small(problem, fit, first), key=lambda n: n.figure, default=None)
+    return small or next(_few_recordings(problem, fit, lesser), None)
