@@ -493,6 +493,7 @@ def test_of_two_names_that_do_the_same_one_is_dropped(monkeypatch):
     swaps = (Alternative("quadratic_drag", "gravity", both), Alternative("friction_asymmetry", "constant_offset", both))
     found = SearchResult(first, both, (), FitProblem((case,)), (first,), swaps)
     monkeypatch.setattr(diagnose, "_idle_names", lambda cases, sharp, first: [])
+    monkeypatch.setattr(diagnose.acceptance, "not_borne_out", lambda *rest: None)
     asked = []
 
     def chances(found, first):
