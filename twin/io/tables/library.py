@@ -46,7 +46,7 @@ def call_library(path: Path, kind: str, work: Callable[[], T]) -> T:
                 raise
             except Exception as error:
                 said = str(error) or type(error).__name__
-            gc.collect()  # what __del__ has to say is said in here
+            gc.collect(1)  # what __del__ has to say is said in here
     finally:
         sys.unraisablehook = hook
         logging.disable(level)
