@@ -101,12 +101,12 @@ def bench_identify() -> None:
     from twin.estimation import estimate, maximum_likelihood
     from twin.io.recording import load
 
-    recordings, rig = load([SHIPPED], SHIPPED.with_name("rig.toml"))
+    recordings, _ = load([SHIPPED], SHIPPED.with_name("rig.toml"))
     reading = best(lambda: load([SHIPPED], SHIPPED.with_name("rig.toml")), 3)
     print(f"reading and looking for faults, {len(recordings[0].time)} samples: {1e3 * reading:.0f} ms")
     estimate.compile_kernel(lambda sentence, share: None)
     bare = bare_loop(recordings[0].input)
-    first = estimate.first_structure(rig, (), ())
+    first = estimate.first_structure(recordings)
     for structure in (first, first.with_("motor_lag")):
         laps: list[tuple[str, float, float]] = []
 

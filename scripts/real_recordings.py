@@ -238,8 +238,8 @@ def outcome(name: str, data: Path, quick: bool) -> Outcome:
     """Diagnose one set, then fit the structure found for whole recordings."""
     chosen = SETS[name]
     began = time.perf_counter()
-    recordings, rig = recordings_of(name, data, quick)
-    first = estimate.first_structure(rig, chosen.more, chosen.fewer)
+    recordings, _ = recordings_of(name, data, quick)
+    first = estimate.first_structure(recordings, chosen.more, chosen.fewer)
     found = diagnose.diagnose(recordings, first)
     held_out = [r for r in recordings if r.role == "holdout"]
     whole = max(float(r.time[-1]) for r in recordings)

@@ -18,10 +18,12 @@ from twin.diagnosis import diagnose, holdout, result
 from twin.errors import BadInput
 from twin.estimation import estimate, two_stage
 from twin.fmi import python_fmu
+from twin.io.api import as_list
 from twin.io.files import check_place, json_text, put
-from twin.io.recording import Recording, Rig
+from twin.io.recording import Recording
 from twin.model import fitted_model
 from twin.model.fitted_model import Model
+from twin.model.stepper import Structure
 from twin.report.html import Check, Story, html
 
 Progress = Callable[[str, float], None]
@@ -44,10 +46,10 @@ def check(fmu: Path, name: str, log: Recording) -> Check:
 def _check_folder(out: Path, force: bool) -> None:
     """Raises BadInput where the results may not or cannot go into this folder."""
     if out.exists() and not out.is_dir():
-        raise BadInput(f"{out} is a file: give the name of a folder with --out")
+        raise BadInput(f"{out} is a file: give the name of a folder as `out`")
     there = [name for name in FILES if (out / name).exists()]
     if there and not force:
-        raise BadInput(f"{out} holds {there[0]} already: choose another folder, or overwrite with --force")
+        raise BadInput(f"{out} holds {there[0]} already: choose another folder, or overwrite with `force=True`")
     check_place(out if out.is_dir() else out.parent)
 
 
@@ -66,17 +68,41 @@ def _closed_loop(
 
 
 def run(
-    recordings: Sequence[Recording], rig: Rig, out: Path, more: Sequence[str] = (), fewer: Sequence[str] = (),
+    recordings: Recording | Sequence[Recording], out: str | Path, structure: Structure | None = None,
     bandwidth: float | None = None, force: bool = False, progress: Progress | None = None,
 ) -> Story:  # fmt: skip
-    """Everything on one recording, or several; the results go into the folder `out` at the end, all at once.
+    """Do the whole job: identify, export, check, diagnose, design a controller, write the report.
 
-    Raises BadInput; then nothing is written.
+    Parameters
+    ----------
+    recordings
+        One recording of the axis, or several.
+    out
+        The folder for everything that is made; it appears at the end, whole.
+    structure
+        What the first model contains; by default `first_structure` of the recordings.
+    bandwidth
+        Hz, of the controller; by default what the axis allows.
+    force
+        Overwrite what an earlier run left in the folder.
+    progress
+        Is called with what is being done and the share of the work that is done, 0 to 1.
+
+    Returns
+    -------
+    Story
+        ``.diagnosis``, ``.controller``, ``.tracking`` and what else the report shows.
+
+    Raises
+    ------
+    BadInput
+        The recordings do not allow it, or the folder cannot be used. Then nothing is written.
     """
+    recordings, out = as_list(recordings), Path(out)
     _check_folder(out, force)
     tell = progress or (lambda sentence, share: None)
     began = time.perf_counter()
-    structure = estimate.first_structure(rig, more, fewer)
+    structure = estimate.first_structure(recordings) if structure is None else structure
     estimate.compile_kernel(tell)
     tell("steady states and transients", 0.03)
     training, _ = holdout.split(recordings)
@@ -103,7 +129,9 @@ def run(
         experiment_file = "next_experiment.csv" if experiment else ""
         put(scratch / "diagnosis.json", json_text(result.to_json(diagnosis, experiment_file)))
         seconds = {**diagnosis.seconds, "in all": time.perf_counter() - began}
-        story = Story(diagnosis, rig, simple, tuple(checks), made, tracking, experiment_file, seconds, remarks)
+        story = Story(
+            diagnosis, recordings[0].rig, simple, tuple(checks), made, tracking, experiment_file, seconds, remarks
+        )
         tell("writing the report", 0.96)
         put(scratch / "report.html", html(story))
         _publish(scratch, out)

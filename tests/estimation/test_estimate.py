@@ -42,14 +42,14 @@ def test_what_the_two_stage_method_does_not_look_for_is_not_held() -> None:
 def test_no_horizon_is_longer_than_what_was_recorded(horizon: float) -> None:
     still = Recording("made", 0.002 * np.arange(9), np.arange(9.0), np.arange(9.0), "%", "rad", 1e-4)
     with pytest.raises(BadInput, match=r"lasts 0.016 s"):
-        estimate.estimate([still], Structure.of(BASE), "joint", lambda sentence, share: None, horizon)
+        estimate.identify(still, horizon=horizon)
 
 
 def test_a_loop_that_is_not_known_is_told_before_the_fit(monkeypatch) -> None:
     monkeypatch.setattr(estimate, "compile_kernel", None)
     still = Recording("made", 0.002 * np.arange(9), np.arange(9.0), np.arange(9.0), "%", "rad", 1e-4)
     with pytest.raises(BadInput, match="loop"):
-        estimate.estimate([still], Structure.of(BASE), "joint", lambda sentence, share: None, 0.01, True)
+        estimate.identify(still, horizon=0.01, closed_loop=True)
 
 
 @pytest.mark.parametrize(("unit", "known", "says"), [("rad", "inertia", "(0.06 N m)"), ("m", "mass", "(0.06 N)")])

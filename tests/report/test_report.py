@@ -10,6 +10,7 @@ from example_diagnosis import RIG, example, model_of, recording_of
 
 from twin.control import cosimulation, design
 from twin.diagnosis import result
+from twin.display.numbers import measure, percent
 from twin.estimation import two_stage
 from twin.report import figures, html, wording
 from twin.report.html import Check, Story
@@ -198,13 +199,13 @@ def test_chain_marks_the_station():
     ],
 )
 def test_numbers_are_put_into_words(value, std, unit, says):
-    assert wording.measure(value, std, unit) == says
+    assert measure(value, std, unit) == says
 
 
 def test_certainty_is_never_claimed():
-    assert wording.percent(1.0) == "over 99\u202f%"
-    assert wording.percent(0.0) == "under 1\u202f%"
-    assert wording.percent(0.5) == "50\u202f%"
+    assert percent(1.0) == "over 99\u202f%"
+    assert percent(0.0) == "under 1\u202f%"
+    assert percent(0.5) == "50\u202f%"
 
 
 def test_sentences_name_effect_and_both_errors():

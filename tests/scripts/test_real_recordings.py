@@ -140,9 +140,10 @@ def test_the_floor_of_a_counted_speed_is_its_rounding() -> None:
 def quick(name: str, candidates: Sequence[str] = CANDIDATES) -> SearchResult:
     """The search on the quick part of a set, from its plain model."""
     chosen = real_recordings.SETS[name]
-    recordings, rig = real_recordings.recordings_of(name, DATA, quick=True)
+    recordings, _ = real_recordings.recordings_of(name, DATA, quick=True)
     train = [r for r in recordings if r.role == "train"]
-    return forward_selection.search(train, estimate.first_structure(rig, chosen.more, chosen.fewer), {}, candidates)
+    first = estimate.first_structure(recordings, chosen.more, chosen.fewer)
+    return forward_selection.search(train, first, {}, candidates)
 
 
 @real
@@ -161,8 +162,8 @@ def test_the_linear_axis_lacks_friction_and_a_constant_pull() -> None:
 def test_the_friction_of_the_linear_axis_keeps_its_name_beside_a_curve_that_does_more() -> None:
     """Published models have dry friction and an offset: while it moves that is friction which is larger one way."""
     chosen, rivals = real_recordings.SETS["emps"], ("coulomb_friction", "friction_asymmetry", "constant_offset")
-    recordings, rig = real_recordings.recordings_of("emps", DATA, quick=False)
-    first = estimate.first_structure(rig, chosen.more, chosen.fewer)
+    recordings, _ = real_recordings.recordings_of("emps", DATA, quick=False)
+    first = estimate.first_structure(recordings, chosen.more, chosen.fewer)
     found = diagnose.diagnose(recordings, first, candidates=rivals)
     assert [f.id for f in found.findings] == ["friction_asymmetry"] and found.verdict == "partly_explained"
     assert [u.ids for u in found.undecided] == [("friction_asymmetry", "constant_offset")]

@@ -70,17 +70,17 @@ def add_log(command: argparse.ArgumentParser, *name: str, **more: Any) -> None:
 
 def add_closed(command: argparse.ArgumentParser) -> None:
     command.add_argument(
-        "--closed", action="store_true",
+        "--closed", dest="closed_loop", action="store_true",
         help="simulate the rig's own loop ([loop] in the rig file) from the recorded reference, not the recorded input",
     )  # fmt: skip
 
 
 def add_structure(command: argparse.ArgumentParser) -> None:
     command.add_argument(
-        "--with", dest="more", action="append", default=[], metavar="EFFECT", help="add an effect to the first model"
+        "--with", dest="include", action="append", default=[], metavar="EFFECT", help="add an effect to the first model"
     )
     command.add_argument(
-        "--without", dest="fewer", action="append", default=[], metavar="EFFECT", help="leave one out of it"
+        "--without", dest="exclude", action="append", default=[], metavar="EFFECT", help="leave one out of it"
     )
 
 

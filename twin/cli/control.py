@@ -27,7 +27,7 @@ def _control(args: argparse.Namespace) -> int:
     from twin.io import files
 
     made = design.design(known, args.bandwidth, args.limit)
-    says, found = [f"{args.out}: {made!r}.", *made.remarks], None
+    says, found = [f"{args.out}: {made.summary}.", *made.remarks], None
     if known.fitted and args.draws:
         with show_progress(args) as tell:
             tell("compiling the closed loop (once on a machine)", 0.0)

@@ -24,15 +24,17 @@ def _diagnose(args: argparse.Namespace) -> int:
         from twin.report import wording
 
         given = None if args.model is None else fitted_model.read(args.model)
-        if given is not None:
+        if given is None:
+            structure = estimate.first_structure(recordings, args.include, args.exclude)
+        else:
             for r in recordings:
                 check_units(r, str(args.model), given.input_unit, given.axis_unit)
             recordings = [as_told(r, given.known) for r in recordings]
-        structure = estimate.first_structure(rig, args.more, args.fewer, None if given is None else given.structure)
+            structure = estimate.changed_structure(given.structure, args.include, args.exclude)
         estimate.compile_kernel(tell)
         d = diagnose.diagnose(
             recordings, structure, {} if given is None else estimate.held_parameters(given),
-            progress=lambda s, x: tell(s, 0.05 + 0.9 * x), closed=args.closed,
+            progress=lambda s, x: tell(s, 0.05 + 0.9 * x), closed=args.closed_loop,
         )  # fmt: skip
         if given is not None and given.fitted and d.before.fitted:
             changes = compare_models(given, d.before)

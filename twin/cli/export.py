@@ -38,7 +38,7 @@ def _export(args: argparse.Namespace) -> int:
                 raise BadInput(f"--{option} needs the MODEL.toml of the axis, {args.model} is a controller")
         made = controller.loads(text, str(args.model))
         _export_controller(args, made, args.out)
-        answer_user(args, [f"{args.out}: FMI {args.fmi} co-simulation ({args.target}) of the {made!r}."], answer)
+        answer_user(args, [f"{args.out}: FMI {args.fmi} co-simulation ({args.target}) of the {made.summary}."], answer)
         return 0
     found = fitted_model.loads(text, str(args.model))
     designed = None if args.controller is None else controller.read(args.controller)

@@ -25,8 +25,8 @@ def _identify(args: argparse.Namespace) -> int:
         from twin.model import fitted_model
         from twin.report import wording
 
-        structure = estimate.first_structure(rig, args.more, args.fewer)
-        found = estimate.estimate(recordings, structure, args.method, tell, args.horizon, args.closed)
+        structure = estimate.first_structure(recordings, args.include, args.exclude)
+        found = estimate.identify(recordings, structure, args.method, args.horizon, args.closed_loop, tell)
     files.put(args.out, fitted_model.dumps(found))
     said = [
         *assumption_lines(rig),

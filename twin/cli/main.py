@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 import traceback
 import warnings
@@ -34,6 +35,30 @@ COMMANDS: tuple[Command, ...] = (
     replay.CHECK,
     track.COMMAND,
 )
+
+
+#: The options by the arguments of the library that they set, where the two have different names.
+FLAGS = {
+    "include": "--with", "exclude": "--without", "closed_loop": "--closed", "names": "--map",
+    "same_structure": "--other-structure",
+}  # fmt: skip
+#: Arguments of the library whose options have the same name.
+SAME = ("amplitude", "bandwidth", "draws", "duration", "fmi", "force", "horizon", "method", "out", "rig", "target")
+
+
+def with_flags(message: str) -> str:
+    """A message of the library with the command line's options in the place of the arguments.
+
+    Arguments stand in backticks: `method="joint"` becomes --method joint, `force=True` becomes --force.
+    """
+
+    def flag(found: re.Match[str]) -> str:
+        name, value = found["name"], found["value"]
+        if name not in FLAGS and name not in SAME:
+            return found.group()
+        return FLAGS.get(name, f"--{name}") + ("" if value in (None, "True", "False") else f" {value.strip(chr(34))}")
+
+    return re.sub(r"`(?P<name>\w+)(?:=(?P<value>[^`]*))?`", flag, message)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -97,7 +122,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             parser.error("name a command, such as run")
         return int(args.handler(args))
     except BadInput as error:
-        print(f"twin: {printable(' '.join(str(error).split()))}", file=sys.stderr)
+        print(f"twin: {printable(with_flags(' '.join(str(error).split())))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("twin: stopped; nothing is half-written", file=sys.stderr)

@@ -115,7 +115,8 @@ def parameters_to_json(model: Model) -> dict[str, Any]:
 
 
 def parameter_lines(model: Model) -> list[str]:
-    from twin.report.wording import measure, undetermined_sentence
+    from twin.display.numbers import measure
+    from twin.report.wording import undetermined_sentence
 
     width = max(len(p.name) for p in model.structure.parameters)
     lines = []

@@ -25,7 +25,7 @@ def replay_all(args: argparse.Namespace) -> tuple[list[Recording], Rig, list[Any
         ran = []
         for i, r in enumerate(recordings):
             tell(f"simulating {r.name}", i / len(recordings))
-            ran.append(python_fmu.replay(args.fmu, r, closed=args.closed))
+            ran.append(python_fmu.replay(args.fmu, r, closed=args.closed_loop))
     return recordings, rig, ran
 
 
@@ -38,7 +38,7 @@ def _fits(recordings: Sequence[Recording], ran: Sequence[Any]) -> list[dict[str,
 
 
 def _fit_lines(fits: Sequence[Mapping[str, Any]]) -> list[str]:
-    from twin.report.wording import number, unit_text
+    from twin.display.numbers import number, unit_text
 
     return [
         f"{f['recording']}: RMSE {number(f['rmse'])} {unit_text(f['unit'])}, "
@@ -55,7 +55,7 @@ def _simulate(args: argparse.Namespace) -> int:
 
     fits = _fits(recordings, ran)
     if args.out is not None:
-        put(args.out, _simulation_csv(recordings, ran, args.closed))
+        put(args.out, _simulation_csv(recordings, ran, args.closed_loop))
     answer = {
         "format": "twin-simulate/1", "fmu": str(args.fmu), "file": args.out and str(args.out), "fit": fits,
         "recording_faults": faults_of(recordings),

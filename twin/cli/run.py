@@ -16,9 +16,11 @@ def _run(args: argparse.Namespace) -> int:
         from twin import pipeline
         from twin.control import cosimulation
         from twin.diagnosis import result
+        from twin.estimation import estimate
         from twin.report import wording
 
-        story = pipeline.run(recordings, rig, args.out, args.more, args.fewer, args.bandwidth, args.force, tell)
+        structure = estimate.first_structure(recordings, args.include, args.exclude)
+        story = pipeline.run(recordings, args.out, structure, args.bandwidth, args.force, tell)
     d = story.diagnosis
     files = {name: str(args.out / name) for name in pipeline.FILES if (args.out / name).exists()}
     says = wording.sentences(d, story.tracking)
@@ -33,7 +35,7 @@ def _run(args: argparse.Namespace) -> int:
         "tracking": None if story.tracking is None else cosimulation.to_json(story.tracking),
         "seconds": dict(story.seconds),
     }
-    said = [*assumption_lines(story.rig), *says, *story.remarks]
+    said = [*assumption_lines(rig), *says, *story.remarks]
     said.append(f"Everything is in {args.out / 'report.html'}; the twin is {args.out / 'improved.fmu'}.")
     answer_user(args, said, answer)
     return 0

@@ -104,7 +104,7 @@ def _json(history: Track, forecasts: Sequence[Forecast], args: argparse.Namespac
 
 
 def _sentences(history: Track, forecasts: Sequence[Forecast]) -> list[str]:
-    from twin.report.wording import capital, listed
+    from twin.display.numbers import capital, listed
 
     said = [f"{len(history.fits)} recordings."]
     for a in history.alarms:

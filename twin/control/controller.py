@@ -10,7 +10,10 @@ from types import SimpleNamespace
 from typing import Any
 
 from twin.codegen import control_law
+from twin.display import numbers
+from twin.display.table import DisplayTable, Tabular
 from twin.errors import BadInput
+from twin.io.files import check_free, put
 from twin.io.toml import finite, load, number, pairs, parse, quoted, real, section, size, texts
 from twin.model.fitted_model import INPUT_NAMES, read_structure, read_units
 from twin.model.stepper import KNOWN, Structure
@@ -37,8 +40,8 @@ class LimitCycle:
     frequency: float  # Hz
 
 
-@dataclass(frozen=True, eq=False)
-class Controller:
+@dataclass(frozen=True, eq=False, repr=False)
+class Controller(Tabular):
     """What runs (`structure`, `values`, `settings`, `known`) and what was found at the design."""
 
     plant: Structure  # of the model that it was designed for
@@ -89,11 +92,41 @@ class Controller:
     def known_list(self) -> list[float]:
         return [float(self.known.get(name, 0.0)) for name in KNOWN]
 
-    def __repr__(self) -> str:
+    @property
+    def summary(self) -> str:
+        """Bandwidth, plant and margins in one line."""
         return (
             f"controller at {self.bandwidth:.3g} Hz for {self.plant}: phase margin "
             f"{math.degrees(self.margins.phase):.0f} deg, delay margin {1e3 * self.margins.delay:.3g} ms"
         )
+
+    def table(self) -> DisplayTable:
+        """What the design promises, and its remarks."""
+        m = self.margins
+        rows = [
+            ("bandwidth", f"{numbers.number(self.bandwidth)} Hz"),
+            ("largest command", f"{numbers.number(self.settings['limit'])} {numbers.unit_text(self.input_unit)}"),
+            ("gain margin", numbers.number(m.gain)),
+            ("phase margin", f"{numbers.number(math.degrees(m.phase))} deg"),
+            ("delay margin", f"{numbers.number(1e3 * m.delay)} ms"),
+            ("largest sensitivity", numbers.number(m.sensitivity)),
+        ]
+        if self.limit_cycle is not None:
+            amplitude, frequency = (numbers.number(v) for v in vars(self.limit_cycle).values())
+            cycle = f"{amplitude} {self.axis_unit} at {frequency} Hz"
+            rows.append(("predicted limit cycle", cycle))
+        return DisplayTable(f"controller for {self.plant}", ("", ""), rows, self.remarks)
+
+    @classmethod
+    def read(cls, path: str | Path) -> Controller:
+        """Read a CONTROLLER.toml. Raises BadInput."""
+        return read(Path(path))
+
+    def write(self, path: str | Path, force: bool = False) -> Path:
+        """Write the controller as TOML; `force` overwrites what is there. Raises BadInput."""
+        check_free(Path(path), force)
+        put(Path(path), dumps(self))
+        return Path(path)
 
 
 def dumps(controller: Controller) -> str:

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from twin.codegen import control_law, python
 from twin.control.controller import Controller, LimitCycle
 from twin.control.reference import Reference, check, make_reference
+from twin.display.numbers import number
+from twin.display.table import DisplayTable, Tabular
 from twin.effects.catalogue import EFFECTS, pages
 from twin.errors import BadInput
 from twin.fmi.fmu_archive import Fmu, open_fmu
@@ -59,8 +61,8 @@ class Hunting:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Tracking:
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracking(Tabular):
     """What the closed loop did. Arrays (N,); errors of the true link position against the reference."""
 
     time: FloatArray  # s
@@ -77,7 +79,19 @@ class Tracking:
 
     @property
     def error(self) -> FloatArray:
+        """Position minus reference (N,), axis unit."""
         return self.position - self.reference
+
+    def table(self) -> DisplayTable:
+        """Errors and effort, and the sentences about them."""
+        settled = "not settled" if self.settled is None else f"{number(self.settled)} s"
+        rows = (
+            ("RMS error", number(self.rms)),
+            ("largest error", number(self.peak)),
+            ("RMS command", number(self.effort)),
+            ("settles within", settled),
+        )
+        return DisplayTable(f"closed loop over {number(float(self.time[-1]))} s", ("", ""), rows, self.says)
 
 
 class Plant(Protocol):
@@ -168,7 +182,7 @@ def _check_structure(fmu: Fmu, controller: Controller) -> None:
             has, lacks = ("the controller", "the FMU") if here else ("the FMU", "the controller")
             raise BadInput(
                 f"{fmu.path}: {has} has {effect}, {lacks} has not: the controller was made for another "
-                "structure; design it from this FMU's model with twin control, or pass --other-structure to try it so"
+                "structure; design it from this FMU's model with twin control, or try it so with `same_structure=False`"
             )
 
 

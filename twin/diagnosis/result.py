@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from twin.diagnosis import change
 from twin.diagnosis.change import Change
 from twin.diagnosis.residual_torque import MissingTorque, Segment, TorqueShape
+from twin.display.numbers import measure, number, percent
+from twin.display.table import DisplayTable, Tabular
 from twin.io.recording import Recording, faults_of
 from twin.model.fitted_model import Model
 
@@ -95,8 +97,8 @@ class NotBorneOut:
     figure: float
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Tabular):
     """The answer of `twin diagnose`.
 
     `verdict` is explained, nothing_missing, partly_explained or unexplained. `ranking` pairs effect ids with
@@ -127,9 +129,23 @@ class Diagnosis:
     changes: tuple[Change, ...] = ()  # from a model that was given to what this recording asks for
     not_borne_out: tuple[NotBorneOut, ...] = ()  # names that were tried and failed
 
-    def __repr__(self) -> str:
-        names = ", ".join(f"{f.id} ({100 * f.probability:.0f} %)" for f in self.findings) or "nothing"
-        return f"{self.verdict}: {names}"
+    @property
+    def model(self) -> Model:
+        """The first model with what was found."""
+        return self.after
+
+    def table(self) -> DisplayTable:
+        """The effects that were left out, and how well the models run freely before and after."""
+        rows = []
+        for f in self.findings:
+            values = [f"{n} = {measure(e.value, e.std, e.unit)}" for n, e in f.parameters.items()]
+            rows.append((f.id, f.station, percent(f.probability), ", ".join(values)))
+        notes = []
+        for role, runs in self.fit.items():
+            errors = [f"{number(runs[w].nrmse_percent)} %" for w in ("before", "after") if w in runs]
+            notes.append(f"free run, {role}: {' before, '.join(errors)} after, of the recorded range")
+        columns = ("effect", "station", "probability", "parameters")
+        return DisplayTable(f"diagnosis: {self.verdict.replace('_', ' ')}", columns, rows, [*notes, *self.remarks])
 
 
 def _fitness(fitness: Fitness) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from twin.display.table import DisplayTable, Tabular
 from twin.effects.parameter import Parameter
 
 Law = Callable[[Any, Any], Any]
@@ -48,7 +49,7 @@ class Screen:
 
 
 @dataclass(frozen=True)
-class Effect:
+class Effect(Tabular):
     """One page. `promises` are among dissipative, odd, memoryless, state: the contract test holds it to them."""
 
     id: str
@@ -69,3 +70,13 @@ class Effect:
 
     def __repr__(self) -> str:
         return f"{self.id}: {self.title} ({', '.join(p.name for p in self.parameters)}), acts at the {self.station}"
+
+    def __str__(self) -> str:
+        return str(self.table())
+
+    def table(self) -> DisplayTable:
+        """Its parameters, and how to tell it from what it is confused with."""
+        rows = [(p.name, p.unit_for("rad", "%"), p.meaning) for p in self.parameters]
+        notes = [f"not {other}: {experiment}" for other, experiment in self.confused_with.items()]
+        title = f"{self.id}: {self.title}, acts at the {self.station}"
+        return DisplayTable(title, ("parameter", "unit", "meaning"), rows, notes)

@@ -12,13 +12,16 @@ from twin.effects.catalogue import EFFECTS, UNKNOWN
 from twin.effects.end_stop import NOWHERE
 from twin.errors import BadInput
 from twin.estimation import maximum_likelihood, preparation, two_stage
+from twin.io.api import as_list
 from twin.io.position_loop import own_loop
-from twin.io.recording import Recording, Rig, to_fit
+from twin.io.recording import Recording, to_fit
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
 from twin.simulation import kernel
 
 Progress = Callable[[str, float], None]
+
+METHODS = ("joint", "two-stage")
 
 
 def _known_effect(name: str, where: str) -> str:
@@ -31,20 +34,43 @@ def _known_effect(name: str, where: str) -> str:
 
 
 def first_structure(
-    rig: Rig, more: Iterable[str] = (), fewer: Iterable[str] = (), given: Structure | None = None
+    recordings: Recording | Sequence[Recording] = (), include: Iterable[str] = (), exclude: Iterable[str] = ()
 ) -> Structure:
-    """What the first model contains: `given`, or the base and the rig file's effects; then the user's changes.
+    """What a first model contains.
 
-    Raises BadInput.
+    Parameters
+    ----------
+    recordings
+        The recordings, whose rig file may name effects (``[structure]``).
+    include
+        Ids of effects to add, such as ``["gravity"]``; `twin.EFFECTS` lists them.
+    exclude
+        Ids of effects to leave out. What cannot be without them goes, too.
+
+    Returns
+    -------
+    Structure
+        The four base effects, those of the rig file, and the changes that were asked for.
+
+    Raises
+    ------
+    BadInput
+        There is no effect of this name, or the structure has none to leave out.
     """
-    named = [_known_effect(e, f"{rig.name} [structure]") for e in rig.effects]
-    structure = preparation.base_structure().with_(*named) if given is None else given
-    structure = structure.with_(*(_known_effect(e, "--with") for e in more))
-    for effect in fewer:
-        if _known_effect(effect, "--without") == "inertia":
-            raise BadInput("--without inertia: every model has an input gain; leave that out")
+    rigs = [r.rig for r in as_list(recordings) if r.rig is not None]
+    named = [_known_effect(e, f"{rigs[0].name} [structure]") for e in rigs[0].effects] if rigs else []
+    return changed_structure(preparation.base_structure().with_(*named), include, exclude)
+
+
+def changed_structure(structure: Structure, include: Iterable[str] = (), exclude: Iterable[str] = ()) -> Structure:
+    """The structure with some effects more and some fewer. Raises BadInput."""
+    structure = structure.with_(*(_known_effect(e, "`include`") for e in include))
+    for effect in exclude:
+        if _known_effect(effect, "`exclude`") == "inertia":
+            raise BadInput("`exclude` names inertia: every model has an input gain; leave that out")
         if effect not in structure:
-            raise BadInput(f"--without {effect}: the first model has no such effect; it has {', '.join(structure.ids)}")
+            has = ", ".join(structure.ids)
+            raise BadInput(f"`exclude` names {effect}: the first model has no such effect; it has {has}")
         leaning = [e.id for e in structure.effects if effect in e.includes]
         structure = structure.without(effect, *leaning)
     return structure
@@ -74,37 +100,70 @@ def held_parameters(found: Model) -> dict[str, float]:
     return {name: found.values[name] for name in known if found.values[name] != NOWHERE.get(name)}
 
 
-def estimate(
-    recordings: Sequence[Recording], structure: Structure, method: str, tell: Progress, horizon: float | None = None,
-    closed: bool = False,
+def identify(
+    recordings: Recording | Sequence[Recording], structure: Structure | None = None, method: str = "joint",
+    horizon: float | None = None, closed_loop: bool = False, progress: Progress | None = None,
 ) -> Model:  # fmt: skip
-    """A model by either method, with the values that predict best over a horizon (s) if one is given, from the recorded
-    input or, `closed`, under the rig's own loop.
+    """Find the parameters of a model, with standard errors.
 
-    Raises BadInput where the recordings do not allow it.
+    Parameters
+    ----------
+    recordings
+        One recording of the axis, or several. Those with the role "holdout" are not fitted.
+    structure
+        What the model contains; by default `first_structure` of the recordings.
+    method
+        "joint": maximum likelihood of all readings (default). "two-stage": steady states first, then transients; for
+        comparison.
+    horizon
+        s; find the values that predict best so far ahead. For a model that lacks something these differ from the
+        likeliest, which are the default.
+    closed_loop
+        Predict over the horizon under the rig's own position loop, from the recorded reference.
+    progress
+        Is called with what is being done and the share of the work that is done, 0 to 1.
+
+    Returns
+    -------
+    Model
+        Values, standard errors and covariance; `Model.notes` says of a parameter what the recording cannot tell.
+
+    Raises
+    ------
+    BadInput
+        The recordings do not allow an estimate, or arguments contradict each other.
     """
-    if horizon is not None and method != "joint":
-        raise BadInput(f"--horizon goes with --method joint, not {method}: leave one of them out")
-    if horizon is not None and not horizon > 0.0:
-        raise BadInput(f"the horizon is {horizon:g} s: give a time above 0")
-    longest = max(float(r.time[-1]) for r in recordings)
-    if horizon is not None and horizon > longest:
-        raise BadInput(f"the horizon is {horizon:g} s, the longest recording lasts {longest:g} s: give a shorter one")
-    if closed and horizon is None:
-        raise BadInput("--closed says how to predict over a horizon: add --horizon SECONDS")
-    for recording in recordings if closed else ():
-        own_loop(recording)  # or the user is told after the fit
+    recordings, tell = as_list(recordings), progress or (lambda sentence, share: None)
+    structure = first_structure(recordings) if structure is None else structure
+    _check_request(recordings, method, horizon, closed_loop)
     if method == "joint":
         compile_kernel(tell)
         found = maximum_likelihood.identify(recordings, structure, progress=lambda s, x: tell(s, 0.05 + 0.85 * x))
         if horizon is not None:
             tell(f"the best values over {horizon:g} s", 0.9)
-            found = maximum_likelihood.for_horizon(found, recordings, horizon, closed)
+            found = maximum_likelihood.for_horizon(found, recordings, horizon, closed_loop)
     else:
         tell("steady states and transients", 0.1)
         train = to_fit(recordings)
         simple = two_stage.two_stage(train)
         if not simple.ok:
-            raise BadInput(f"{train[0].name}: no two-stage estimate: {simple.says}; or use --method joint")
+            raise BadInput(f'{train[0].name}: no two-stage estimate: {simple.says}; or use `method="joint"`')
         found = two_stage.to_model(simple, train)
     return with_largest_command(found, recordings)
+
+
+def _check_request(recordings: Sequence[Recording], method: str, horizon: float | None, closed_loop: bool) -> None:
+    """Raises BadInput for arguments of `identify` that contradict each other or the recordings."""
+    if method not in METHODS:
+        raise BadInput(f"`method` is {method!r}: use one of {', '.join(METHODS)}")
+    if horizon is not None and method != "joint":
+        raise BadInput(f'`horizon` goes with `method="joint"`, not {method}: leave one of them out')
+    if horizon is not None and not horizon > 0.0:
+        raise BadInput(f"the horizon is {horizon:g} s: give a time above 0")
+    longest = max((float(r.time[-1]) for r in recordings), default=0.0)
+    if horizon is not None and horizon > longest:
+        raise BadInput(f"the horizon is {horizon:g} s, the longest recording lasts {longest:g} s: give a shorter one")
+    if closed_loop and horizon is None:
+        raise BadInput("`closed_loop` says how to predict over a horizon: give `horizon`, in s")
+    for recording in recordings if closed_loop else ():
+        own_loop(recording)  # or the user is told after the fit

@@ -20,7 +20,7 @@ def check_free(out: Path, force: bool) -> None:
     if out.is_dir():
         raise BadInput(f"{out} is a folder: give the name of a file")
     if out.exists() and not force:
-        raise BadInput(f"{out} is there already: choose another name, or overwrite it with --force")
+        raise BadInput(f"{out} is there already: choose another name, or overwrite it with `force=True`")
     check_place(out.parent)
 
 

@@ -58,7 +58,7 @@ def own_loop(recording: Recording) -> OwnLoop:
     loop = recording.loop
     if loop is None:
         raise BadInput(
-            f"{recording.name}: the rig's own loop is not known: add [loop] to the rig file, or leave --closed out"
+            f"{recording.name}: the rig's own loop is not known: add [loop] to the rig file, or leave `closed_loop` out"
         )
     if recording.is_speed:
         raise BadInput(f"{recording.name}: only a position loop can be closed: give the position as the output")

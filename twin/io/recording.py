@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from twin.display.table import DisplayTable, Tabular
 from twin.errors import BadInput
 from twin.io.cleaning import Raw, clean_optional, clean_output, hold
 from twin.io.faults import Fault, find_gaps
@@ -56,7 +57,7 @@ class Loop:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Recording(Tabular):
     """One recording: input held from stamp to stamp, output as it was read. All arrays have shape (N,).
 
     `output` is NaN where a reading is left out (`faults` says why); `input` is finite everywhere.
@@ -79,6 +80,7 @@ class Recording:
     faults: tuple[Fault, ...] = ()
     location: str = "link"  # "link" | "motor": the side of gear, gap and elasticity that the sensor sits on
     refresh: float | None = None  # s, how often the sensor is read anew; None: not known
+    rig: Rig | None = None  # what the columns of the file were
 
     def __repr__(self) -> str:
         quantity = "speed" if self.is_speed else "position"
@@ -91,6 +93,22 @@ class Recording:
             f"{_INPUT_WORDS.get(self.input_unit, 'input')} in {self.input_unit}, "
             f"{quantity} in {self.output_unit}{count}, {readings} left out"
         )
+
+    def __str__(self) -> str:
+        return str(self.table())
+
+    def table(self) -> DisplayTable:
+        """What was recorded, and what of it was left out."""
+        rows = [
+            ("input", f"{self.input_unit}, from {np.min(self.input):.3g} to {np.max(self.input):.3g}"),
+            ("output", f"{self.output_unit}, from {np.nanmin(self.output):.3g} to {np.nanmax(self.output):.3g}"),
+            ("samples", f"{self.time.size} in {self.time[-1]:.3g} s"),
+            ("role", self.role),
+            *((name, f"{value:.6g} (known)") for name, value in self.known.items()),
+        ]
+        assumed = self.rig.assumed if self.rig else ()
+        notes = [*(f"left out: {f.says}" for f in self.faults), *(f"assumed: {a}" for a in assumed)]
+        return DisplayTable(f"recording {self.name}", ("", ""), rows, notes)
 
     @property
     def is_speed(self) -> bool:
@@ -268,7 +286,7 @@ def _check_one_rig(paths: Sequence[Path]) -> None:
     files = [f for f in dict.fromkeys(path.parent / "rig.toml" for path in paths) if f.is_file()]
     for other in files[1:]:
         if other.read_bytes() != files[0].read_bytes():
-            raise BadInput(f"{files[0]} and {other} differ: name the one that holds for all recordings with --rig")
+            raise BadInput(f"{files[0]} and {other} differ: name the one that holds for all recordings with `rig`")
 
 
 def _guess(table: Table) -> Rig:
@@ -327,6 +345,7 @@ def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
         ),
         location=rig.location,
         refresh=cleaned.refresh,
+        rig=rig,
     )
     if entry.start is not None or entry.end is not None:
         recording = recording.part(entry.start or 0.0, math.inf if entry.end is None else entry.end)
@@ -404,7 +423,7 @@ def _wanted(table: Table, rig: Rig, clock: Clock) -> list[str]:
             says = f"which {rig.name} says is its [{role}]" if not rig.assumed else f"taken for the {role} by its name"
             raise BadInput(
                 f"{table.name}: no column '{name}', {says}{meant}; columns are: {listing(table.names)}"
-                f"{_NO_HEADER if table.names[0] == '1' else ''}; correct the rig file, or give one with --rig"
+                f"{_NO_HEADER if table.names[0] == '1' else ''}; correct the rig file, or give one as `rig`"
             )
     return list(dict.fromkeys(named.values()))
 

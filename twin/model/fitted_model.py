@@ -11,10 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.display.numbers import measure
+from twin.display.table import DisplayTable, Tabular
 from twin.effects.catalogue import EFFECTS, pages
 from twin.effects.end_stop import NOWHERE
 from twin.effects.parameter import Parameter
 from twin.errors import BadInput
+from twin.io.files import check_free, put
 from twin.io.toml import check_keys, finite, load, number, parse, quoted, real, section, size, texts
 from twin.model.stepper import Structure
 
@@ -24,8 +27,8 @@ _ENTRY = ("value", "std", "interval", "unit", "meaning", "note")  # of a paramet
 INPUT_NAMES = {"%": "duty", "V": "voltage", "A": "current", "N*m": "torque", "N": "force"}
 
 
-@dataclass(frozen=True, eq=False)
-class Model:
+@dataclass(frozen=True, eq=False, repr=False)
+class Model(Tabular):
     """A structure with numbers.
 
     `values` holds every parameter of the structure; `covariance` (n, n) belongs to `fitted`, in that order: what left
@@ -101,9 +104,27 @@ class Model:
     def with_values(self, values: Mapping[str, float]) -> Model:
         return replace(self, values={**self.values, **values})
 
-    def __repr__(self) -> str:
-        numbers = ", ".join(f"{n} = {v:.4g} {self.unit(n)}" for n, v in self.values.items())
-        return f"{self.structure} with {numbers}"
+    def table(self) -> DisplayTable:
+        """Parameter, value with standard error, meaning."""
+        rows, notes = [], []
+        for p in self.structure.parameters:
+            value = measure(self.values[p.name], self.std(p.name), self.unit(p.name))
+            torque = self.torque(p.name)
+            rows.append((p.name, f"{value} = {torque}" if torque else value, p.meaning))
+            if p.name in self.notes:
+                notes.append(f"{p.name}: {self.notes[p.name]}")
+        return DisplayTable(f"model: {self.structure}", ("parameter", "value", "meaning"), rows, notes)
+
+    @classmethod
+    def read(cls, path: str | Path) -> Model:
+        """Read a MODEL.toml. Raises BadInput."""
+        return read(Path(path))
+
+    def write(self, path: str | Path, force: bool = False) -> Path:
+        """Write the model as TOML; `force` overwrites what is there. Raises BadInput."""
+        check_free(Path(path), force)
+        put(Path(path), dumps(self))
+        return Path(path)
 
 
 def dumps(model: Model) -> str:

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from twin.diagnosis.holdout import simulate_recording
 from twin.diagnosis.result import Diagnosis, Trace
+from twin.display.numbers import capital, unit_text
 from twin.io.recording import Recording
 from twin.model.fitted_model import Model
-from twin.report.wording import capital, title, unit_text
+from twin.report.wording import title
 
 FloatArray = NDArray[np.float64]
 

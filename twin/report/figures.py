@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from twin.control.cosimulation import Tracking
 from twin.diagnosis.residual_torque import Segment, TorqueShape
 from twin.diagnosis.result import Diagnosis, Experiment, Trace
+from twin.display.numbers import unit_text
 from twin.estimation.two_stage import TwoStage
 from twin.report.style import AFTER, BEFORE, GRID, HELD, INK, MISFIT, MUTED, RECORDED
-from twin.report.wording import unit_text
 
 Values = NDArray[np.floating[Any]]
 

@@ -13,6 +13,7 @@ from twin.codegen import latex
 from twin.control.controller import Controller
 from twin.control.cosimulation import Tracking
 from twin.diagnosis.result import Diagnosis, Finding, Fitness
+from twin.display.numbers import capital, listed, measure, number, percent, pretty, unit_text
 from twin.effects.catalogue import BASE, EFFECTS, UNKNOWN
 from twin.estimation.two_stage import NAMES, TwoStage
 from twin.io.recording import Rig
@@ -21,7 +22,6 @@ from twin.report import figures, wording
 from twin.report.explorer import explorer
 from twin.report.origin import Origin
 from twin.report.style import CSS
-from twin.report.wording import measure, number, percent, unit_text
 
 _MOST_ROWS = 20
 
@@ -43,7 +43,7 @@ class Story:
     """What a report can show; what was not done is None or empty."""
 
     diagnosis: Diagnosis
-    rig: Rig
+    rig: Rig | None = None
     two_stage: TwoStage | None = None
     checks: tuple[Check, ...] = ()
     controller: Controller | None = None
@@ -63,7 +63,7 @@ def _tag(name: str, content: str, kind: str = "") -> str:
 
 def _said(text: str, kind: str = "") -> str:
     """A paragraph of plain text."""
-    return _tag("p", escape(wording.pretty(text)), kind)
+    return _tag("p", escape(pretty(text)), kind)
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]], kinds: Sequence[str] = (), caption: str = "") -> str:
@@ -170,7 +170,7 @@ def _finding(found: Finding, model: Model) -> str:
     where = f"acts at the {escape(found.station)} · probability {percent(found.probability)}"
     equation = f'<div class="equation large"><span class="term new">{figures.math_svg(found.equation)}</span></div>'
     table = _table(("", "parameter", "value"), rows, ("symbol", "", "number")) if rows else ""
-    title = escape(wording.capital(wording.title(found.id)))
+    title = escape(capital(wording.title(found.id)))
     return (
         f'<article class="finding"><h3>{title}<span class="where">{where}</span></h3>'
         f"{_said(found.says)}{equation}{table}</article>"
@@ -230,7 +230,7 @@ def _where(story: Story) -> str:
 
 
 def _legend(d: Diagnosis) -> str:
-    return wording.listed([_key(which, name) for which, _, name in figures.models(d)])
+    return listed([_key(which, name) for which, _, name in figures.models(d)])
 
 
 def _comparison(story: Story) -> str:
@@ -409,7 +409,7 @@ def _faults(story: Story) -> str:
         for name, f in faults[:_MOST_ROWS]
     ]
     said = _said(f"{len(faults)} faults; the first {_MOST_ROWS}:") if len(faults) > _MOST_ROWS else ""
-    assumed = "".join(_said(f"Assumed, for want of a rig file: {a}") for a in story.rig.assumed)
+    assumed = "".join(_said(f"Assumed, for want of a rig file: {a}") for a in (story.rig.assumed if story.rig else ()))
     if not rows:
         return _section("recording", "The recording", assumed, _said("No faults were found in it."))
     table = _table(("fault", "from, s", "to, s", ""), rows, ("", "number", "number", ""))
@@ -442,7 +442,7 @@ def _control(story: Story) -> str:
         parts.append(_figure(figures.tracking(ran, x, model.input_unit), says))
     parts.append(_table(("feedback-linearising controller", ""), rows, ("", "number")))
     notes = [*(ran.says if ran is not None else ()), *made.remarks]
-    items = "".join(_tag("li", escape(wording.capital(wording.pretty(s)))) for s in notes)
+    items = "".join(_tag("li", escape(capital(pretty(s)))) for s in notes)
     parts.append(f'<ul class="notes">{items}</ul>')
     return _section("control", "What the model can control", *parts)
 
@@ -479,7 +479,7 @@ def _how(story: Story) -> str:
         head = ("FMU in FMPy", "validation", "RMSE", "of the range", "time")
         caption = f"The exported FMUs, replaying {escape(story.checks[0].recording)} from beginning to end"
         parts.append(_table(head, checked, ("", "", "number", "number", "number"), caption))
-    first = wording.listed([wording.title(i) for i in (*BASE, *d.before.structure.named) if i in d.before.structure])
+    first = listed([wording.title(i) for i in (*BASE, *d.before.structure.named) if i in d.before.structure])
     parts.append(
         _said(
             f"The first model contains {first}. Parameters are those of maximum likelihood over whole recordings, with "

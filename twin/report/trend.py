@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from twin.diagnosis.tracking import Track
+from twin.display.numbers import pretty, unit_text
 from twin.report.figures import WIDTH, draw_svg
 from twin.report.style import AFTER, BEFORE, CSS, MISFIT
-from twin.report.wording import pretty, unit_text
 
 
 def _chart(history: Track, name: str) -> str:

@@ -1,0 +1,1 @@
+"""How numbers, units and tables are written, for terminal, notebook and report alike."""
