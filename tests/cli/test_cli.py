@@ -449,7 +449,7 @@ def test_two_stage_says_what_it_lacks(capsys, bench):
     assert "two-stage" in said and "joint" in said
     more = ["--method", "two-stage", "--horizon", "5", "--out", "new.toml"]
     assert "--horizon goes with --method joint" in refused(capsys, bench, "identify", "good.csv", *more)
-    assert "add --horizon" in refused(capsys, bench, "identify", "good.csv", "--closed", "--out", "new.toml")
+    assert "give --horizon" in refused(capsys, bench, "identify", "good.csv", "--closed", "--out", "new.toml")
     assert "horizon is 0 s" in refused(capsys, bench, "identify", "good.csv", "--horizon", "0", "--out", "new.toml")
 
 
