@@ -14,6 +14,7 @@ from twin.display.table import DisplayTable, Tabular
 from twin.errors import BadInput
 from twin.io.cleaning import Raw, clean_optional, clean_output, hold
 from twin.io.faults import Fault, find_gaps
+from twin.io.joined import join_files
 from twin.io.manifest import Entry, entries_of
 from twin.io.rig_file import Clock, Column, Direction, LoopRig, Rig, guess_rig, guess_time, read_rig
 from twin.io.tables.formats import open_tables
@@ -257,7 +258,8 @@ def load(paths: Sequence[Path], rig: Path | None = None) -> tuple[list[Recording
         for table in _tests(tables, entry):
             if chosen is None:
                 chosen = _guess(table)
-            recordings.append(_recording(table, chosen, entry))
+            joined = join_files(table, chosen, entry.path, _clock(table, chosen.time))
+            recordings.append(_recording(*joined, entry))
     assert chosen is not None
     _check_moves(recordings)
     return _share_supply(_share_resolution(recordings, chosen.output.resolution)), chosen

@@ -28,6 +28,16 @@ from twin.io.units import (
 
 
 @dataclass(frozen=True)
+class Clock:
+    """Where time comes from: a column, a constant sample time, or (both None) the file format's own
+    stamps."""
+
+    column: str | None = None
+    factor: float = 1.0  # s per unit
+    sample_time: float | None = None  # s
+
+
+@dataclass(frozen=True)
 class Column:
     """One column of the table and how its numbers become a quantity: (raw - offset) * scale * factor + zero.
 
@@ -45,6 +55,8 @@ class Column:
     turn: float | None = None  # raw units per full turn, when the raw values are an angle
     counts: bool = False
     signed_bits: int = 0  # width of a signed integer that was logged without its sign; 0: the values are as they are
+    file: str = ""  # where the column lies if not in the recording, relative to it; `*` stands for the recording's name
+    clock: Clock | None = None  # of that file; None: as the recording's
 
 
 @dataclass(frozen=True)
@@ -58,16 +70,6 @@ class Direction:
     name: str
     forward: float | None = None
     reverse: float | None = None
-
-
-@dataclass(frozen=True)
-class Clock:
-    """Where time comes from: a column, a constant sample time, or (both None) the file format's own
-    stamps."""
-
-    column: str | None = None
-    factor: float = 1.0  # s per unit
-    sample_time: float | None = None  # s
 
 
 @dataclass(frozen=True)
@@ -114,6 +116,9 @@ class Rig:
         )
 
 
+_ELSEWHERE = ("file", "time_column", "time_unit")  # keys of a column that may lie in another file
+
+
 def read_rig(path: Path) -> Rig:
     """Read a rig file.
 
@@ -148,8 +153,9 @@ def _rig(table: Mapping[str, Any], where: str) -> Rig:
         if key not in table:
             raise BadInput(f"{where}: [{key}] is missing; say which column it is and in what unit")
     roles = {key: _table(table, key, where).get("column") for key in ("time", "input", "output")}
+    apart = "file" in _table(table, "input", where)
     for key, other in (("input", "output"), ("time", "input"), ("time", "output")):
-        if roles[key] is not None and roles[key] == roles[other]:
+        if not (apart and "input" in (key, other)) and roles[key] is not None and roles[key] == roles[other]:
             raise BadInput(f"{where}: [{key}] and [{other}] are both column '{roles[key]}'; name two columns")
     optional = _table(table, "optional", where)
     check_keys(f"{where} [optional]", optional, OPTIONAL_UNITS)
@@ -162,13 +168,13 @@ def _rig(table: Mapping[str, Any], where: str) -> Rig:
     return Rig(
         name=where,
         time=_clock(_table(table, "time", where), f"{where} [time]"),
-        input=_column(drive, INPUT_UNITS, f"{where} [input]", ("full_scale", "direction")),
+        input=_column(drive, INPUT_UNITS, f"{where} [input]", ("full_scale", "direction", *_ELSEWHERE)),
         output=_column(reading, OUTPUT_UNITS, f"{where} [output]", ("location", "refresh")),
         direction=_direction(drive, f"{where} [input]") if "direction" in drive else None,
         location=_location(reading, f"{where} [output]"),
         refresh=_positive(reading, "refresh", f"{where} [output]") if "refresh" in reading else None,
         optional={
-            key: _column(_table(optional, key, where), OPTIONAL_UNITS[key], f"{where} [optional.{key}]")
+            key: _column(_table(optional, key, where), OPTIONAL_UNITS[key], f"{where} [optional.{key}]", _ELSEWHERE)
             for key in optional
         },
         known={
@@ -236,7 +242,17 @@ def _column(table: Mapping[str, Any], units: Units, where: str, more: Sequence[s
         turn=turn,
         counts=written == "count",
         signed_bits=int(bits),
+        file=_text(table, "file", where) if "file" in table else "",
+        clock=_clock_elsewhere(table, where),
     )
+
+
+def _clock_elsewhere(table: Mapping[str, Any], where: str) -> Clock | None:
+    """The clock of another file that a column lies in; None where the rig file does not give it."""
+    given = {key: table[f"time_{key}"] for key in ("column", "unit") if f"time_{key}" in table}
+    if given and "file" not in table:
+        raise BadInput(f"{where}: time_column and time_unit go with file; name the file that the column lies in")
+    return _clock(given, where) if "column" in given else None
 
 
 def _direction(drive: Mapping[str, Any], where: str) -> Direction:
