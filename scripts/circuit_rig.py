@@ -105,6 +105,15 @@ class Rig(NamedTuple):
     cubic: float = 0.0
     cubic_flat: float = 0.0
     slant: float = 0.0  # 1/s by which viscous friction is larger forwards, smaller in reverse
+    run_in: float = 0.0  # friction at the recording's start beyond what is left later
+    run_in_time: float = 1.0
+    sector: float = 0.0  # friction within an angle of a turn
+    sector_angle: float = 0.0
+    sector_half: float = 1.0
+    pulse: float = 0.0
+    pulse_start: float = 0.0
+    pulse_length: float = 0.0
+    clock: float = 0.0  # s, when the recording begins
 
     @property
     def viscous_friction(self) -> float:
@@ -304,17 +313,26 @@ def _draws(rng: np.random.Generator, rig: Rig, size: float, duration: float) -> 
             "encoder_eccentricity", {"eccentricity": 0.1 * size, "eccentricity_phase": phase()}),
         "periodic_disturbance": lambda: Concealed("periodic_disturbance", {
             "shake": torque, "shake_frequency": 0.5 * 30.0 ** between(0.0, 1.0), "shake_phase": phase()}),
-        "other_latch": lambda: Concealed("other_latch", {
+        "friction_run_in": lambda: Concealed(
+            "friction_run_in", {"run_in": torque, "run_in_time": duration * between(0.05, 0.3)}),
+        "sticky_sector": lambda: Concealed("sticky_sector", {
+            "sector": torque, "sector_angle": rig.start + reach * between(-1.0, 1.0),
+            "sector_half": between(0.15, 0.5)}),
+        "disturbance_pulse": lambda: Concealed("disturbance_pulse", {
+            "pulse": torque * either(), "pulse_start": duration * between(0.1, 0.7),
+            "pulse_length": duration * between(0.05, 0.2)}),
+        "detent": lambda: Concealed("detent", {
             "latch": torque, "latch_width": between(0.06, 0.2), "latch_angle": rig.start + reach * between(-1.0, 1.0)}),
         "other_speed_hump": lambda: Concealed("other_speed_hump", {
             "hump": torque, "hump_speed": speed * between(0.3, 0.7), "hump_width": speed * between(0.05, 0.12)}),
         "other_cubic_spring": lambda: Concealed("other_cubic_spring", {
             "cubic": torque / max(speed, 1.0) ** 3, "cubic_flat": speed * between(0.1, 0.4)}),
-        "other_slant": lambda: Concealed("other_slant", {"slant": size * rig.viscous_friction * either()}),
+        "viscous_asymmetry": lambda: Concealed(
+            "viscous_asymmetry", {"slant": size * rig.viscous_friction * either()}),
     }  # fmt: skip
 
 
-OUTSIDE = ("other_cubic_spring", "other_latch", "other_slant", "other_speed_hump")
+OUTSIDE = ("other_cubic_spring", "other_speed_hump")
 VOCABULARY = tuple(
     sorted(set(_draws(np.random.default_rng(0), draw_rig(np.random.default_rng(0)), 0.0, 1.0)) - set(OUTSIDE))
 )
@@ -399,6 +417,8 @@ def _play(rig, duty, shaking, substeps):  # type: ignore[no-untyped-def]
             on_link += rig.shake * sin(TURN * rig.shake_frequency * now + rig.shake_phase)
             off = ((link - rig.latch_angle + pi) % TURN - pi) / rig.latch_width
             on_link -= rig.latch * off * exp(0.5 - 0.5 * off**2)
+            if 0.0 <= now - rig.clock - rig.pulse_start < rig.pulse_length:
+                on_link += rig.pulse
             hump = rig.hump * exp(-(((abs(w_link) - rig.hump_speed) / rig.hump_width) ** 2))
             on_link -= hump if w_link > 0.0 else -hump
             on_link -= rig.cubic * (max(link - rig.start - rig.cubic_flat, 0.0)
@@ -422,6 +442,9 @@ def _play(rig, duty, shaking, substeps):  # type: ignore[no-untyped-def]
             dry = (rig.coulomb + rig.excess * exp(-((w_link / rig.excess_speed) ** 2))) * (
                 1.0 + rig.around * sin(link + rig.around_phase)
             )
+            dry += rig.run_in * exp(-max(now - rig.clock, 0.0) / rig.run_in_time)
+            if abs((link - rig.sector_angle + pi) % TURN - pi) < rig.sector_half:
+                dry += rig.sector
             per_load = rig.per_load * abs(teeth)
             at_link = (1.0 - rig.dry_at_motor) * dry + (1.0 - rig.load_at_motor) * per_load
             at_motor = rig.dry_at_motor * dry + rig.load_at_motor * per_load
@@ -451,7 +474,7 @@ def simulate(
     before = round(settle / SAMPLE)
     # Its clock begins with the recording.
     phase = rig.shake_phase - TURN * rig.shake_frequency * settle
-    rig = rig._replace(load_time=rig.load_time + settle, shake_phase=phase)
+    rig = rig._replace(load_time=rig.load_time + settle, shake_phase=phase, clock=settle)
     command = np.concatenate([np.zeros(before), duty])
     white = np.random.default_rng(seed).standard_normal(len(command) + 1) * rig.noise / sqrt(SAMPLE) * float(noise)
     keep = exp(-SAMPLE / rig.noise_time)

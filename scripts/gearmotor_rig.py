@@ -25,14 +25,14 @@ NOISE_STEP = 1e-3  # s, each value of the noise is held so long
 COPPER = 0.0039  # 1/K, how the winding's resistance rises
 
 VOCABULARY: tuple[str, ...] = (
-    "constant_offset", "coulomb_friction", "drive_saturation", "encoder_eccentricity", "end_stop",
-    "friction_asymmetry", "gravity", "input_delay", "joint_elasticity", "load_change", "load_dependent_friction",
-    "motor_lag", "periodic_disturbance", "position_dependent_friction", "quadratic_drag", "spring",
-    "stribeck_friction", "supply_sag", "thermal_fade", "torque_ripple",
+    "constant_offset", "coulomb_friction", "detent", "disturbance_pulse", "drive_saturation",
+    "encoder_eccentricity", "end_stop", "friction_asymmetry", "friction_run_in", "gravity", "input_delay",
+    "joint_elasticity", "load_change", "load_dependent_friction", "motor_lag", "periodic_disturbance",
+    "position_dependent_friction", "quadratic_drag", "spring", "sticky_sector", "stribeck_friction", "supply_sag",
+    "thermal_fade", "torque_ripple", "viscous_asymmetry",
 )  # fmt: skip
 OUTSIDE: tuple[str, ...] = (
     "other_damaged_tooth",  # the gap is wider at one place of the output wheel
-    "other_detent",  # a magnet pulls towards one place of each turn
     "other_freewheel",  # the bridge opens within its dead-band, and no back-EMF brakes
     "other_friction_hump",  # friction in a band of speeds, as where a housing resonates
     "other_slosh",  # a liquid in the link that its walls drag along
@@ -132,6 +132,15 @@ class _Plant(NamedTuple):
     hump_width: float = 0.0
     slosh_inertia: float = 0.0
     slosh_coupling: float = 0.0
+    run_in: float = 0.0
+    run_in_time: float = 1.0
+    sector: float = 0.0
+    sector_angle: float = 0.0
+    sector_half: float = 0.0
+    pulse: float = 0.0
+    pulse_start: float = 0.0
+    pulse_length: float = 0.0
+    slant: float = 0.0
 
 
 # What a first model has as a number: the name here, and how often its value it may at most become.
@@ -390,6 +399,16 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
         case "friction_asymmetry":
             values, carrier = _dry(rng, torque, half, "asymmetry")
             values |= {name: sign * values[name] for name in ("asymmetry_motor", "asymmetry_link")}
+        case "friction_run_in":
+            values = {"run_in": torque, "run_in_time": duration * float(rng.uniform(0.05, 0.3))}
+        case "sticky_sector":
+            middle = min(0.5 * speed, math.pi) * float(rng.uniform(-1.0, 1.0))
+            values = {"sector": torque, "sector_angle": middle, "sector_half": float(rng.uniform(0.15, 0.5))}
+        case "disturbance_pulse":
+            values = {"pulse": sign * torque, "pulse_start": duration * float(rng.uniform(0.1, 0.7))}
+            values |= {"pulse_length": duration * float(rng.uniform(0.05, 0.2))}
+        case "viscous_asymmetry":
+            values = {"slant": 1.5 * sign * torque / speed}
         case "gravity":
             values = {"gravity_torque": torque, "gravity_angle": turn}
         case "input_delay":
@@ -428,7 +447,7 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
         case "other_damaged_tooth":
             width = math.radians(log_uniform(rng, 5.0, 20.0))
             values = {"tooth_gap": 0.4 * size, "tooth_angle": turn, "tooth_width": width}
-        case "other_detent":
+        case "detent":
             width = math.radians(log_uniform(rng, 5.0, 20.0))
             values = {"detent_torque": torque, "detent_angle": turn, "detent_width": width}
         case "other_freewheel":
@@ -518,13 +537,15 @@ def _dry_torque(
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _field(angle: float, speed: float, t: float, p: _Plant) -> float:
     """All torques (N m) on the link that its surroundings make, by angle (rad), speed (rad/s) and time (s)."""
-    torque = p.offset_link - p.drag_link * speed * abs(speed)
+    torque = p.offset_link - (p.drag_link * speed + p.slant) * abs(speed)
     if p.gravity_torque > 0.0:
         torque -= p.gravity_torque * math.sin(angle - p.gravity_angle)
     if p.spring_rate > 0.0:
         torque -= p.spring_rate * (angle - p.spring_angle)
     if p.outside_torque > 0.0:
         torque += p.outside_torque * math.sin(2.0 * math.pi * p.outside_frequency * t + p.outside_phase)
+    if 0.0 <= t - p.pulse_start < p.pulse_length:
+        torque += p.pulse
     if p.stop_upper_stiffness > 0.0 and angle > p.stop_upper_angle:
         push = p.stop_upper_stiffness * (angle - p.stop_upper_angle) * (1.0 + p.stop_loss * speed)
         torque -= max(push, 0.0)
@@ -629,8 +650,11 @@ def _run(time: Array, duty: Array, motor_noise: Array, link_noise: Array, p: _Pl
             )  # fmt: skip
             motor_speed = _held(motor_speed, change, h * held / p.motor_inertia)
             change = h * load / inertia
+            dry = p.dry_link + p.run_in * math.exp(-(t - time[0]) / p.run_in_time)
+            if abs(_wrapped(link - p.sector_angle)) < p.sector_half:
+                dry += p.sector
             held = _dry_torque(
-                link_speed + change, link_speed, link, from_motor, p.dry_link, p.asymmetry_link, p.stribeck_link,
+                link_speed + change, link_speed, link, from_motor, dry, p.asymmetry_link, p.stribeck_link,
                 p.turn_link, p.efficiency_link, p,
             )  # fmt: skip
             link_speed = _held(link_speed, change, h * held / inertia)

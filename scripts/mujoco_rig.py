@@ -194,6 +194,16 @@ def angle_friction(p: Parameters, rig: Rig) -> Friction:
     return lambda speed, s: mean * (1.0 + sin(s.angle + phase))
 
 
+def run_in_friction(p: Parameters, rig: Rig) -> Friction:
+    magnitude, scale = p["magnitude"], p["time"]
+    return lambda speed, s: magnitude * exp(-max(s.time, 0.0) / scale)
+
+
+def sector_friction(p: Parameters, rig: Rig) -> Friction:
+    magnitude, middle, half = p["magnitude"], p["middle"], p["half"]
+    return lambda speed, s: magnitude if abs((s.angle - middle + pi) % TURN - pi) < half else 0.0
+
+
 def load_friction(p: Parameters, rig: Rig) -> Friction:
     share = p["share"]
     return lambda speed, s: share * abs(s.transmitted)
@@ -207,6 +217,16 @@ def constant_torque(p: Parameters, rig: Rig) -> Law:
 def quadratic_drag(p: Parameters, rig: Rig) -> Law:
     gain = p["gain"]
     return lambda s: -gain * s.speed * abs(s.speed)
+
+
+def slanted_drag(p: Parameters, rig: Rig) -> Law:
+    slant = p["slant"]
+    return lambda s: -slant * abs(s.speed)
+
+
+def pulse(p: Parameters, rig: Rig) -> Law:
+    torque, begin, end = p["torque"], p["start"], p["start"] + p["length"]
+    return lambda s: torque if begin <= s.time < end else 0.0
 
 
 def gravity(p: Parameters, rig: Rig) -> Law:
@@ -362,6 +382,8 @@ FRICTION: Frictions = {
     "stribeck_friction": stribeck_friction,
     "friction_asymmetry": one_way_friction,
     "position_dependent_friction": angle_friction,
+    "friction_run_in": run_in_friction,
+    "sticky_sector": sector_friction,
     "load_dependent_friction": load_friction,
 }
 LINK: Laws = {
@@ -371,7 +393,9 @@ LINK: Laws = {
     "spring": spring,
     "torque_ripple": link_ripple,
     "periodic_disturbance": disturbance,
-    "other_latch": latch,
+    "viscous_asymmetry": slanted_drag,
+    "disturbance_pulse": pulse,
+    "detent": latch,
     "other_speed_hump": speed_hump,
     "other_cubic_spring": cubic_spring,
 }
@@ -412,6 +436,18 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
             zip(("forward", "backward"), (torque, 0.0) if rng.uniform() < 0.5 else (0.0, torque), strict=True)
         ),
         "position_dependent_friction": lambda: {"magnitude": torque, "phase": phase()},
+        "friction_run_in": lambda: {"magnitude": torque, "time": duration * between(0.05, 0.3)},
+        "sticky_sector": lambda: {
+            "magnitude": torque,
+            "middle": reach * between(-1.0, 1.0),
+            "half": between(0.15, 0.5),
+        },
+        "viscous_asymmetry": lambda: {"slant": 1.5 * size * rig.viscous_friction * either()},
+        "disturbance_pulse": lambda: {
+            "torque": torque * either(),
+            "start": duration * between(0.1, 0.7),
+            "length": duration * between(0.05, 0.2),
+        },
         "load_dependent_friction": lambda: {"share": size},
         "constant_offset": lambda: {"torque": torque * either()},
         "quadratic_drag": lambda: {"gain": torque / speed**2},
@@ -441,7 +477,7 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
             "phase": phase(),
         },
         "other_brake_coast": lambda: {"damping": 5.0 * size * rig.viscous_friction},
-        "other_latch": lambda: {
+        "detent": lambda: {
             "torque": torque,
             "width": between(0.06, 0.2),
             "angle": reach * between(-1.0, 1.0),

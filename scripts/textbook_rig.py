@@ -25,16 +25,16 @@ SETTLE = 0.5  # s at zero duty before the recording
 EMF = 0.6  # share of the motor's damping that is back-EMF and so unloads the supply
 
 VOCABULARY: tuple[str, ...] = (
-    "constant_offset", "coulomb_friction", "drive_saturation", "encoder_eccentricity", "end_stop",
-    "friction_asymmetry", "gravity", "input_delay", "joint_elasticity", "load_change", "load_dependent_friction",
-    "motor_lag", "periodic_disturbance", "position_dependent_friction", "quadratic_drag", "spring",
-    "stribeck_friction", "supply_sag", "thermal_fade", "torque_ripple",
+    "constant_offset", "coulomb_friction", "detent", "disturbance_pulse", "drive_saturation",
+    "encoder_eccentricity", "end_stop", "friction_asymmetry", "friction_run_in", "gravity", "input_delay",
+    "joint_elasticity", "load_change", "load_dependent_friction", "motor_lag", "periodic_disturbance",
+    "position_dependent_friction", "quadratic_drag", "spring", "sticky_sector", "stribeck_friction", "supply_sag",
+    "thermal_fade", "torque_ripple", "viscous_asymmetry",
 )  # fmt: skip
 OUTSIDE: tuple[str, ...] = (
     "other_bump",  # a torque at one place of the travel
     "other_cubic_drag",
     "other_gain_asymmetry",  # the drive pulls harder one way
-    "other_viscous_asymmetry",  # the motor turns more easily one way
 )
 
 
@@ -95,6 +95,17 @@ class _Plant(NamedTuple):
     cubic: float = 0.0
     gain_asymmetry: float = 0.0
     viscous_asymmetry: float = 0.0
+    run_in: float = 0.0
+    run_in_time: float = 1.0
+    sector: float = 0.0
+    sector_angle: float = 0.0
+    sector_half: float = 0.0
+    pulse: float = 0.0
+    pulse_start: float = 0.0
+    pulse_length: float = 0.0
+    detent: float = 0.0
+    detent_angle: float = 0.0
+    detent_width: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -264,7 +275,18 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
             values = {"cubic": torque / speed**3}
         case "other_gain_asymmetry":
             values = {"gain_asymmetry": sign * size}
-        case "other_viscous_asymmetry":
+        case "friction_run_in":
+            values = {"run_in": torque, "run_in_time": duration * float(rng.uniform(0.05, 0.3))}
+        case "sticky_sector":
+            values = {"sector": torque, "sector_angle": reach * float(rng.uniform(-1.0, 1.0))}
+            values |= {"sector_half": float(rng.uniform(0.15, 0.5))}
+        case "disturbance_pulse":
+            values = {"pulse": sign * torque, "pulse_start": duration * float(rng.uniform(0.1, 0.7))}
+            values |= {"pulse_length": duration * float(rng.uniform(0.05, 0.2))}
+        case "detent":
+            values = {"detent": torque, "detent_angle": reach * float(rng.uniform(-1.0, 1.0))}
+            values |= {"detent_width": float(rng.uniform(0.1, 0.3))}
+        case "viscous_asymmetry":
             values = {"viscous_asymmetry": 3.0 * size}
         case _:
             raise ValueError(f"no effect {id!r}; there are {', '.join((*VOCABULARY, *OUTSIDE))}")
@@ -289,10 +311,13 @@ def _drive(duty: float, motor_speed: float, p: _Plant) -> float:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _dry(angle: float, speed: float, passed: float, p: _Plant) -> float:
+def _dry(angle: float, speed: float, passed: float, t: float, p: _Plant) -> float:
     """Dry friction at a speed, of which motor and link have a share each; teeth pass `passed`."""
     size = p.coulomb + p.stribeck * math.exp(-((speed / p.stribeck_speed) ** 2)) + p.dry_load * abs(passed)
     size += p.dry_wave * math.sin(angle + p.dry_wave_phase) + (p.dry_forward if speed > 0.0 else p.dry_reverse)
+    size += p.run_in * math.exp(-max(t, 0.0) / p.run_in_time)
+    if math.cos(angle - p.sector_angle) > math.cos(p.sector_half):
+        size += p.sector
     return size * math.tanh(speed / p.edge)
 
 
@@ -302,6 +327,10 @@ def _field(angle: float, speed: float, t: float, p: _Plant) -> float:
     torque = p.offset - p.drag * speed * abs(speed) - p.cubic * speed**3
     torque -= p.gravity * math.sin(angle + p.gravity_phase) + p.spring * (angle - p.spring_rest)
     torque += p.shake * math.sin(2.0 * math.pi * p.shake_frequency * t + p.shake_phase)
+    if 0.0 <= t - p.pulse_start < p.pulse_length:
+        torque += p.pulse
+    well = math.sin(0.5 * (angle - p.detent_angle)) * 2.0 / p.detent_width
+    torque -= p.detent * well * math.exp(0.5 - 0.5 * well * well)
     torque += p.bump * math.exp(-0.5 * ((angle - p.bump_angle) / p.bump_width) ** 2)
     if angle > p.stop_upper:
         torque -= max(p.stop_stiffness * (angle - p.stop_upper) + p.stop_damping * speed, 0.0)
@@ -346,9 +375,9 @@ def _run(time: Array, duty: Array, noise: Array, p: _Plant) -> Array:
             passed = stiffness * (apart + half) + damping * closing
         at = min(int((t + SETTLE) / NOISE_STEP), noise.shape[1] - 1)
         viscous = p.motor_viscous * (1.0 + (p.viscous_asymmetry if motor_speed < 0.0 else 0.0))
-        push = gain * u - viscous * motor_speed - p.dry_share * _dry(link, motor_speed, passed, p) - passed
+        push = gain * u - viscous * motor_speed - p.dry_share * _dry(link, motor_speed, passed, t, p) - passed
         push += noise[0, at] + p.ripple * math.sin(p.ripple_order * motor + p.ripple_phase)
-        pull = passed - p.link_viscous * link_speed - (1.0 - p.dry_share) * _dry(link, link_speed, passed, p)
+        pull = passed - p.link_viscous * link_speed - (1.0 - p.dry_share) * _dry(link, link_speed, passed, t, p)
         pull += noise[1, at] + _field(link, link_speed, t, p)
         inertia = (1.0 - p.motor_share) * (p.load_factor if t >= p.load_time else 1.0)
         motor_speed += STEP * push / p.motor_share

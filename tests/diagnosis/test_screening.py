@@ -14,7 +14,19 @@ from twin.effects.catalogue import CANDIDATES
 from twin.estimation import filter_memory, likelihood, local_optima, multistart, preparation, prepared_recording
 from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording
+from twin.model import equations
 from twin.model.stepper import Structure
+
+
+def tried_beside(
+    missing: residual_torque.MissingTorque, recording: Recording, structure: Structure, effect: str, name: str
+) -> list[float]:
+    """What is tried of a candidate's parameter where this torque is missing."""
+    case = prepared_recording.prepare_recording(recording, structure)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(residual_torque, "missing_torque", lambda *args: missing)
+        tried = screening.trial_grids(FitProblem([case]), structure, preparation.complete_values(structure, {}))[effect]
+    return [row[name] for row in tried]
 
 
 def lines(position, torque, effect: str, name: str, unit: str = "rad", pushed=None) -> list[float]:
@@ -24,13 +36,9 @@ def lines(position, torque, effect: str, name: str, unit: str = "rad", pushed=No
     time = 0.002 * np.arange(len(torque))
     structure = Structure.of(["inertia", "viscous_friction", "dead_band"])
     duty = np.where(time % 1.0 < 0.5, 30.0, 0.0) if pushed is None else pushed
-    case = prepared_recording.prepare_recording(Recording("made", time, duty, position, "%", unit, 1e-4), structure)
     speed = np.gradient(position, time)
     missing = residual_torque.MissingTorque(time, torque, position, speed, np.gradient(speed, time), duty, 0.002)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(residual_torque, "missing_torque", lambda *args: missing)
-        tried = screening.trial_grids(FitProblem([case]), structure, preparation.complete_values(structure, {}))[effect]
-    return [row[name] for row in tried]
+    return tried_beside(missing, Recording("made", time, duty, position, "%", unit, 1e-4), structure, effect, name)
 
 
 @pytest.mark.parametrize("end", [0.5, 30.0, 30000.0])
@@ -381,3 +389,33 @@ def test_a_start_is_looked_for_in_parts_of_a_long_recording_unless_it_lies_at_a_
     name, size = next(iter(law.items()))
     assert found.values[name] == pytest.approx(size, rel=0.02)
     assert entry.promised_gain > 0.8 * (before.deviance - found.deviance)
+
+
+#: A law of one place or time, and how near the likeliest trial has to be to what was planted.
+LOCAL = {
+    "disturbance_pulse": ({"pulse_torque": -2.0, "pulse_start": 21.0, "pulse_length": 3.0}, "pulse_start", 1.5),
+    "sticky_sector": ({"sector_friction": 2.0, "sector_angle": 0.9, "sector_width": 0.3}, "sector_angle", 0.2),
+    "detent": (
+        {"detent_torque": 2.0, "detent_angle": -1.1, "detent_width": 0.2, "detent_order": 1.0}, "detent_angle", 0.1,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("effect", LOCAL)
+@pytest.mark.parametrize("travel", [3.0, 12.0])
+def test_what_acts_at_one_place_is_tried_where_the_missing_torque_shows_it(effect: str, travel: float) -> None:
+    """Within less than a turn and over several, under noise as large as the effect."""
+    planted, name, near = LOCAL[effect]
+    rng = np.random.default_rng(3)
+    time = 0.002 * np.arange(20000)
+    position = 0.5 * travel * np.sin(0.7 * time) * np.cos(0.045 * time)
+    velocity = np.gradient(position, time)
+    states = {"position": position, "velocity": velocity, "time": time, "direction": np.sign(velocity)}
+    law = equations.along(effect, states, {**screening.neutral_values(effect), **planted})
+    torque = (-np.sign(velocity) * law if effect == "sticky_sector" else law) + rng.normal(0.0, 2.0, len(time))
+    command = 30.0 * np.sign(velocity)
+    missing = residual_torque.MissingTorque(time, torque, position, velocity, velocity, command, 0.002)
+    structure = Structure.of(["inertia", "viscous_friction", "dead_band"])
+    recording = Recording("made", time, command, position, "%", "rad", 1e-4)
+    tried = tried_beside(missing, recording, structure, effect, name)
+    assert abs((tried[0] - planted[name] + np.pi) % (2.0 * np.pi) - np.pi) < near

@@ -78,7 +78,8 @@ def test_contract_ids_exist():
     promised = """inertia viscous_friction dead_band backlash coulomb_friction stribeck_friction
         friction_asymmetry position_dependent_friction load_dependent_friction constant_offset quadratic_drag
         gravity spring torque_ripple end_stop joint_elasticity motor_lag input_delay drive_saturation supply_sag
-        thermal_fade load_change encoder_eccentricity periodic_disturbance"""
+        thermal_fade load_change encoder_eccentricity periodic_disturbance viscous_asymmetry friction_run_in
+        sticky_sector detent disturbance_pulse"""
     assert set(promised.split()) <= set(EFFECTS)
     assert set(promised.split()) - set(BASE) <= set(CANDIDATES)
 
@@ -92,6 +93,7 @@ def test_switched_off_it_leaves_no_trace(effect):
     without = present.without(effect.id)
     values = sane(present, rng)
     command = steps(rng, len(TIME))
+    command[:100] = 45.0  # whatever follows, it moves
     plain, _ = run(without, values, TIME, command, longest=0.002)
     strange = values | {p.name: float(rng.uniform(0.3, 0.6)) for p in effect.parameters}
     again, _ = run(without, strange, TIME, command, longest=0.002)
@@ -130,7 +132,7 @@ def test_dissipative_effects_never_feed_energy(effect):
     if effect.law is not None:
         for _ in range(500):
             values = {p.name: rng.uniform(max(p.lower, -5.0), min(p.upper, 5.0)) for p in effect.parameters}
-            state = dict(zip(SLOTS[effect.slot][0], rng.normal(0.0, 3.0, 4), strict=False))
+            state = dict(zip(SLOTS[effect.slot][0], rng.normal(0.0, 3.0, 5), strict=False))
             size = effect.law(SimpleNamespace(**state), SimpleNamespace(**values))
             assert size >= 0.0 if effect.slot == "grip" else size * state["velocity"] <= 0.0
     # And as the stepper applies it: with no command, the energy of the two bodies only falls.
@@ -155,7 +157,16 @@ def test_a_drive_that_gives_more_or_less_on_the_way_is_asked_again_in_the_middle
 
 def test_what_counts_the_time_since_the_start_is_known():
     counting = {i for i in EFFECTS if equations.timed(Structure.of([i]))}
-    assert counting == {"thermal_fade", "load_change", "periodic_disturbance", "unknown_time", "unknown_drag"}
+    assert counting == {
+        "thermal_fade",
+        "load_change",
+        "friction_run_in",
+        "disturbance_pulse",
+        "periodic_disturbance",
+    } | {
+        "unknown_time",
+        "unknown_drag",
+    }
 
 
 @every_effect
@@ -218,8 +229,8 @@ RETURNS = {
     "drive": "{u}", "load": "{x}/s^2", "shaft": "{x}/s^2", "drag": "{x}/s^2", "bristle": "{x}/s^2", "rider": "{x}/s^2",
     "grip": "{x}/s^2", "mass": "1", "sensor": "{x}",
 }  # fmt: skip
-#: Numbers in laws that are quantities: standard gravity (inertia being torque per rad/s^2) and a turn.
-LITERALS = {9.80665: "{x}*m/s^2", 6.283185307179586: "rad"}
+#: Numbers in laws that are quantities: standard gravity (inertia being torque per rad/s^2), a turn and a quarter of it.
+LITERALS = {9.80665: "{x}*m/s^2", 6.283185307179586: "rad", 1.5707963267948966: "rad"}
 #: Laws of the angle itself, which have no counterpart on a linear axis.
 ROTARY = {"gravity", "payload_gravity", "encoder_eccentricity", "position_dependent_friction"}
 

@@ -145,9 +145,9 @@ def test_the_seal_is_sha256_of_label_and_salt_and_binds_both(tmp_path: Path) -> 
         ([], [], "unexplained", "none", False, False),
         ([], [], FAILED, "none", False, False),
         ([], ["gravity"], "explained", "none", False, False),
-        (["other_latch"], [], "unexplained", "outside", True, True),
-        (["other_latch"], [], "nothing_missing", "outside", False, False),
-        (["other_latch"], ["gravity"], "explained", "outside", False, False),
+        (["other_speed_hump"], [], "unexplained", "outside", True, True),
+        (["other_speed_hump"], [], "nothing_missing", "outside", False, False),
+        (["other_speed_hump"], ["gravity"], "explained", "outside", False, False),
     ],
 )
 def test_right_and_wrong(truth, said, verdict, kind, first, exact) -> None:
@@ -177,7 +177,7 @@ def test_what_chance_makes_of_few_claims_that_are_as_right_as_they_say() -> None
 def test_a_name_on_a_null_rig_or_for_a_nameless_effect_is_a_wrong_claim() -> None:
     outcomes = [
         outcome({}, {"gravity": 0.8}, kind="none"),
-        outcome({"other_latch": 9.0}, {"spring": 0.7}, kind="outside"),
+        outcome({"other_speed_hump": 9.0}, {"spring": 0.7}, kind="outside"),
         outcome({"gravity": 1.5}, {"gravity": 0.6}),
     ]
     assert claims(outcomes) == [(0.8, False), (0.7, False), (0.6, True)]
@@ -200,8 +200,8 @@ def test_the_summary_counts_visible_and_faint_apart() -> None:
         outcome({"gravity": 9.0, "motor_lag": 3.0}, {"gravity": 0.9, "motor_lag": 0.9}, kind="pair"),
         outcome({}, {}, "nothing_missing", "none"),
         outcome({}, {"spring": 0.9}, "explained", "none"),
-        outcome({"other_latch": 9.0}, {}, "unexplained", "outside"),
-        outcome({"other_latch": 9.0}, {"spring": 0.3}, "partly_explained", "outside"),
+        outcome({"other_speed_hump": 9.0}, {}, "unexplained", "outside"),
+        outcome({"other_speed_hump": 9.0}, {"spring": 0.3}, "partly_explained", "outside"),
     ]
     text = summary(outcomes)
     for start, expected in (
@@ -234,13 +234,13 @@ def test_the_confusion_matrix_holds_every_trial_and_only_what_occurred() -> None
     outcomes = [
         outcome({"gravity": 9.0}, {"gravity": 0.9}),
         outcome({"gravity": 9.0}, {"spring": 0.9}),
-        outcome({"other_latch": 9.0}, {}, "unexplained", "outside"),
+        outcome({"other_speed_hump": 9.0}, {}, "unexplained", "outside"),
         outcome({}, {}, "nothing_missing", "none"),
     ]
     head, *rows = confusion(outcomes).splitlines()
     columns = [int(n) for n in head.split()]
     names = {int(row.split()[0]): row.split()[1] for row in rows}
-    assert set(names.values()) == {NOTHING, "gravity", "spring", "other_latch", UNKNOWN}
+    assert set(names.values()) == {NOTHING, "gravity", "spring", "other_speed_hump", UNKNOWN}
     cells = {
         (row.split()[1], names[column]): int(cell)
         for row in rows
@@ -250,7 +250,7 @@ def test_the_confusion_matrix_holds_every_trial_and_only_what_occurred() -> None
     assert cells == {
         ("gravity", "gravity"): 1,
         ("gravity", "spring"): 1,
-        ("other_latch", UNKNOWN): 1,
+        ("other_speed_hump", UNKNOWN): 1,
         (NOTHING, NOTHING): 1,
     }
 

@@ -347,7 +347,7 @@ def test_disturbance_moves_link_and_motor() -> None:
 
 
 def test_detent_holds_up_to_its_depth() -> None:
-    magnet = Concealed("other_detent", {"detent_torque": 1.0, "detent_angle": 0.0, "detent_width": 0.2})
+    magnet = Concealed("detent", {"detent_torque": 1.0, "detent_angle": 0.0, "detent_width": 0.2})
     rig = FREE_LINK.with_(link_viscous=3.0)  # too slow to run over the brim
     kept, lost = (held(rig, 0.0, 10.0, magnet, offset(t)) for t in (0.9, 1.1))
     assert abs(kept.position).max() < 0.2

@@ -112,7 +112,7 @@ def test_resistances_in_steady_running() -> None:
     v = end(TIGHT, 50.0, "other_cubic_drag", cubic=0.1)
     assert 0.1 * v**3 + 2.0 * v == pytest.approx(push, rel=1e-3)
     assert end(TIGHT, -50.0, "other_gain_asymmetry", gain_asymmetry=0.2) == pytest.approx(-0.24 * 46.0 / 2.0, rel=1e-3)
-    assert end(TIGHT, -50.0, "other_viscous_asymmetry", viscous_asymmetry=1.0) == pytest.approx(-9.2 / 3.5, rel=1e-3)
+    assert end(TIGHT, -50.0, "viscous_asymmetry", viscous_asymmetry=1.0) == pytest.approx(-9.2 / 3.5, rel=1e-3)
 
 
 def test_friction_slows_a_free_link_as_it_varies_over_the_turn() -> None:

@@ -51,6 +51,9 @@ def _expression(node: ast.expr) -> str:
             return "(" + f" {_OPERATORS[type(operator)]} ".join(map(_expression, values)) + ")"
         case ast.IfExp(test, body, orelse):
             return f"({_expression(test)} ? {_expression(body)} : {_expression(orelse)})"
+        case ast.Call(ast.Name("min" | "max" as name), [first, *rest]) if len(rest) > 1:
+            # C's take two.
+            return f"{_FUNCTIONS[name]}({_expression(first)}, {_expression(ast.Call(node.func, rest, []))})"
         case ast.Call(ast.Name(name), arguments):
             return f"{_FUNCTIONS.get(name, name)}({', '.join(map(_expression, arguments))})"
     raise ValueError(f"no C for {ast.unparse(node)!r}")

@@ -109,7 +109,7 @@ def clip(value, bound):
     return clipped(value, bound, bound)
 
 
-def friction(place, speed, heading, through, share, p):
+def friction(place, speed, heading, through, share, time, p):
     """Dry friction to be overcome: the teeth transmit `through` without it, and carry `share` of it; `heading` lies in
     [-1, 1].
     """
@@ -119,7 +119,7 @@ def friction(place, speed, heading, through, share, p):
     held = 0.0
     # Friction may depend on the torque that it is part of; the map contracts.
     for _ in range(12):
-        held = heading * grip(place, speed, side, through + share * held, p)
+        held = heading * grip(place, speed, side, through + share * held, time, p)
     return held
 
 
@@ -245,7 +245,7 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
     side = 1.0
     if away < 0.0:
         side = -1.0
-    held = grip(y.position, 0.0, side, 0.0, p)
+    held = grip(y.position, 0.0, side, 0.0, y.time, p)
     most = -side * p.input_gain * drive(-side * g.limit, 0.0, y.heat, y.position + y.gap, p)
     spare = g.braking * (most - side * pull + held) / total + side * rise
     least = 0.05 * most / total
@@ -283,7 +283,7 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
         share = 1.0 - p.friction_share
         dry = 1.0 - p.dry_share
     through = mass_l * wish - share * resist - (pull - turn)
-    stiction = friction(y.position, y.velocity, heading, through, dry, p)
+    stiction = friction(y.position, y.velocity, heading, through, dry, y.time, p)
     torque = total * wish - pull - resist + stiction
     if has.motor_lag:
         # The acceleration that the lag's state gives now, and what it would take to change it in time.

@@ -169,8 +169,8 @@ def rates(x, p, k, command):
             # Where nothing tells motor and link apart each is half of the axis.
             resist = 0.5 * drag(x.position, x.velocity, p)
             through = ((torque + resist) * (mass_l - 0.5) - 0.5 * (pull + resist)) / mass_l
-        forward = grip(x.position, x.velocity, 1.0, through, p)
-        reverse = grip(x.position, x.velocity, -1.0, through, p)
+        forward = grip(x.position, x.velocity, 1.0, through, x.time, p)
+        reverse = grip(x.position, x.velocity, -1.0, through, x.time, p)
         if forward < 0.0:
             forward = 0.0
         if reverse < 0.0:

@@ -92,7 +92,7 @@ def _holding(model: Model) -> float:
     for place in np.linspace(-math.pi, math.pi, 25):
         for side in (1.0, -1.0):
             pull = abs(law.load(place, 0.0, 0.0, moment, p) + law.drag(place, side, p))
-            worst = max(worst, pull + law.grip(place, side, side, pull, p))
+            worst = max(worst, pull + law.grip(place, side, side, pull, 0.0, p))
     dead = max(model.values.get("dead_band_forward", 0.0), model.values.get("dead_band_reverse", 0.0))
     return max(worst / model.values["input_gain"] + dead, 1e-9)
 
@@ -156,7 +156,7 @@ def _reach(controller: Controller) -> tuple[float, float]:
         return float(
             gain * acts
             + side * law.drag(0.0, side * speed, p)
-            - law.grip(0.0, side * speed, side, 0.5 * gain * acts, p)
+            - law.grip(0.0, side * speed, side, 0.5 * gain * acts, 0.0, p)
         )
 
     acceleration = min(spare(0.0, side) for side in (1.0, -1.0)) / total
@@ -361,7 +361,7 @@ def design(model: Model, bandwidth: float | None = None, limit: float | None = N
 def _hunting(controller: Controller) -> LimitCycle | None:
     """The limit cycle that the gap would cause in the linear loop."""
     values, law = controller.values, controller.laws
-    held = min(law.grip(0.0, 0.0, side, 0.0, controller.parameter_list) for side in (1.0, -1.0))
+    held = min(law.grip(0.0, 0.0, side, 0.0, 0.0, controller.parameter_list) for side in (1.0, -1.0))
     share = 1.0 - values.get("dry_share", 0.0)
     gap = values.get("backlash_gap", 0.0)
     return linearization.limit_cycle(controller, gap, values.get("motor_share", 0.5), share * held)

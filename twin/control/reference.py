@@ -251,7 +251,7 @@ def check(reference: Reference, controller: Controller) -> None:
         need = total * float(reference.acceleration[i]) - law.drag(place, speed, p)
         need -= law.load(place, speed, 0.0, k[1], p) + law.shaft(place, p)
         if speed != 0.0:
-            need += side * law.grip(place, speed, side, 0.5 * need, p)
+            need += side * law.grip(place, speed, side, 0.5 * need, 0.0, p)
         way = 1.0 if need > 0.0 else -1.0
         most = way * v["input_gain"] * law.drive(way * g["limit"], damping * speed / v["input_gain"], 0.0, place, p)
         share = abs(need) / most if most > 0.0 else math.inf

@@ -162,7 +162,12 @@ def _implausible_effects(problem: FitProblem, point: Fit) -> set[str]:
         for effect, rule in RULES.items()
         if effect in point.structure and not rule(problem.recordings, point.values)
     }
-    return flung | ruled
+    pages = {
+        e.id
+        for e in point.structure.effects
+        if e.plausible is not None and not any(e.plausible(point.values, c.recorded) for c in problem.recordings)
+    }
+    return flung | ruled | pages
 
 
 def is_plausible(problem: FitProblem, point: Fit, before: Fit | None = None) -> bool:

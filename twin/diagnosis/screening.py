@@ -24,13 +24,18 @@ from twin.diagnosis.thresholds import MIN_REPEATS
 from twin.effects.catalogue import CANDIDATES, EFFECTS, pages
 from twin.estimation import likelihood, multistart, numerics, optimizer, parameter_bounds, preparation
 from twin.estimation.fit import Fit
+from twin.estimation.prepared_recording import PreparedRecording
 from twin.estimation.problem import FitProblem, free_parameters
+from twin.model import equations
 from twin.model.stepper import Structure
 from twin.parallel import each
 
 FloatArray = NDArray[np.float64]
 
 _TURN = 2.0 * math.pi
+#: Rows of a local law that are tried: those that the missing torque follows best, and what share of the best one's
+#: correlation two of them may have with each other.
+_MAX_PLACES, _MAX_OVERLAP = 4, 0.8
 #: So many of the strongest lines of the missing torque are tried, further apart than this share of their rate, and
 #: looked for at so many rates in the width of one.
 _MAX_LINES, _MIN_LINE_SPACING, _RATES_PER_LINE = 3, 0.15, 4.0
@@ -83,6 +88,61 @@ def _heating_command(missing: MissingTorque, values: Mapping[str, float], span: 
     return min(max(mean, 0.05 * span), span)
 
 
+def _unit_law(effect: str, row: Mapping[str, float], states: Mapping[str, FloatArray]) -> FloatArray:
+    """Torque (N,) that the effect's law adds per unit of its gain along these states."""
+    page = EFFECTS[effect]
+    assert page.screen is not None
+    law = equations.along(effect, states, {**neutral_values(effect), **row, page.screen.gain: 1.0})
+    return -states["direction"] * law if page.slot == "grip" else law
+
+
+def _rows_followed(missing: MissingTorque, effect: str, rows: Sequence[dict[str, float]]) -> list[dict[str, float]]:
+    """The rows whose law the missing torque follows best, beside what the base's own laws could follow of it.
+
+    All laws are linear in their gain: what counts is the correlation, once gain, dead-band, viscous and dry friction
+    and a constant are projected out.
+    """
+    states = missing.averages()
+    speed = states["velocity"]
+    known = np.isfinite([states[n] for n in ("torque", "position", "velocity", "input", "time")]).all(axis=0)
+    states = {n: c[known] for n, c in states.items()} | {"direction": np.sign(speed[known])}
+    command, speed, direction = states["input"], states["velocity"], states["direction"]
+    own = np.stack([command, command > 0.0, command < 0.0, speed, direction, np.ones(len(speed))], axis=1)
+    basis, _ = np.linalg.qr(own / (np.linalg.norm(own, axis=0) + 1e-300)) if len(own) >= 6 else (np.zeros_like(own), 0)
+
+    def beside(column: FloatArray) -> FloatArray:
+        left = column - basis @ (basis.T @ column)
+        return np.asarray(left / max(float(np.linalg.norm(left)), 1e-6 * float(np.linalg.norm(column)), 1e-300))
+
+    torque = beside(_without_impacts(states["torque"])) if known.any() else states["torque"]
+    laws = np.array([beside(_unit_law(effect, row, states)) for row in rows])
+    follows = laws @ torque
+    # A gain that is never negative follows in one direction only.
+    if parameter_bounds.bounds_of(_gain(effect))[0] < 0.0:
+        follows = np.abs(follows)
+    chosen: list[int] = []
+    for i in np.argsort(-follows).tolist():
+        if len(chosen) < _MAX_PLACES and all(abs(float(laws[i] @ laws[j])) < _MAX_OVERLAP for j in chosen):
+            chosen.append(i)
+    return [rows[i] for i in chosen]
+
+
+def _gain(effect: str) -> str:
+    screen = EFFECTS[effect].screen
+    assert screen is not None
+    return screen.gain
+
+
+def _page_trials(case: PreparedRecording, missing: MissingTorque, effect: str) -> list[dict[str, float]]:
+    """Values that the effect's own page would try."""
+    screen = EFFECTS[effect].screen
+    assert screen is not None
+    rows = [dict(zip(screen.grid, values, strict=True)) for values in itertools.product(*screen.grid.values())]
+    if screen.trials is not None:
+        rows = screen.trials(case.recorded)
+    return _rows_followed(missing, effect, rows) if screen.local else rows
+
+
 def trial_grids(
     problem: FitProblem, structure: Structure, values: Mapping[str, float]
 ) -> dict[str, list[dict[str, float]]]:
@@ -95,11 +155,7 @@ def trial_grids(
     travel = float(np.ptp(places))
     out: dict[str, list[dict[str, float]]] = {}
     for effect in CANDIDATES:
-        screen = EFFECTS[effect].screen
-        assert screen is not None
-        out[effect] = [{}]
-        for name, trial in screen.grid.items():
-            out[effect] = [{**row, name: v} for row in out[effect] for v in trial]
+        out[effect] = _page_trials(longest, missing, effect)
     speeds = np.abs(missing.velocity[np.isfinite(missing.velocity)])
     fast = float(np.quantile(speeds, 0.95)) if len(speeds) else 1.0
     out["stribeck_friction"] = [{"stribeck_velocity": f * fast} for f in (0.02, 0.06, 0.15)]
@@ -183,7 +239,7 @@ _NEEDS_TURN = ("gravity", "position_dependent_friction", "encoder_eccentricity")
 #: known by its angle of rest.
 _MIN_TRAVEL = {"encoder_eccentricity": 0.5 * math.pi, "position_dependent_friction": 0.5}
 #: Candidates that happen at a moment of their own: not at the same one of several recordings.
-_MOMENTARY = ("load_change", "periodic_disturbance")
+_MOMENTARY = ("load_change", "periodic_disturbance", "disturbance_pulse")
 
 
 def testable_candidates(problem: FitProblem, candidates: Sequence[str]) -> list[str]:

@@ -26,11 +26,21 @@ SLOTS: Mapping[str, tuple[tuple[str, ...], str]] = {
     "drag": (("position", "velocity"), "smooth resistance, against the speed; laws add up"),
     "bristle": (("bend",), "friction on the motor by how far its bristles are bent; laws add up"),
     "rider": (("tug",), "torque on the link by what rides on it, drawn back with the acceleration `tug`; laws add up"),
-    "grip": (("position", "velocity", "direction", "transmitted"), "size of the dry friction; laws add up"),
+    "grip": (("position", "velocity", "direction", "transmitted", "time"), "size of the dry friction; laws add up"),
     "mass": (("position", "time", "payload"), "inertia added to the link; laws add up"),
     "sensor": (("position",), "what the sensor adds to the true position; laws add up"),
     "structure": ((), "acts through the stepper itself"),
 }
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a page may know of a recording to say where a search for its effect begins."""
+
+    end: float  # s, the length of the recording
+    lowest: float  # least position, in the axis' unit
+    travel: float  # greatest position minus least
+    turns: bool  # the axis turns; else it is a linear one
 
 
 @dataclass(frozen=True)
@@ -39,13 +49,17 @@ class Screen:
 
     `gain` is the parameter whose neutral value switches the effect off. Where the law also has a phase or rest
     position, `phase` names it, and `combine` turns how much of the law at phase zero there is, and how much of its
-    derivative by the phase, into (gain, phase). `grid` holds trial values of other parameters.
+    derivative by the phase, into (gain, phase). `grid` holds trial values of other parameters; where they depend on the
+    recording, `trials` gives them row by row. A law that acts at one place or time is `local`: it has many rows, and
+    those whose law best follows the missing torque are tried.
     """
 
     gain: str
     phase: str | None = None
     combine: Callable[[float, float], tuple[float, float]] | None = None
     grid: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    trials: Callable[[Recorded], list[dict[str, float]]] | None = None
+    local: bool = False
 
 
 @dataclass(frozen=True)
@@ -67,6 +81,7 @@ class Effect(Tabular):
     screen: Screen | None = None
     includes: tuple[str, ...] = ()  # effects that this one cannot be without
     substeps: int = 1  # internal steps per 2 ms that the effect needs
+    plausible: Callable[[Mapping[str, float], Recorded], bool] | None = None  # whether fitted values still mean it
 
     def __repr__(self) -> str:
         return f"{self.id}: {self.title} ({', '.join(p.name for p in self.parameters)}), acts at the {self.station}"

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
+from twin.effects.effect import Recorded
 from twin.io.position_loop import own_loop
 from twin.io.recording import Recording, command_of, known_quantities
 from twin.model.stepper import Structure
@@ -38,6 +39,13 @@ class PreparedRecording:
     contact_mask: NDArray[np.bool_] | None = None  # (N,) readings that are followed but not judged; None: none
     rattle_mask: NDArray[np.bool_] | None = None  # (N,) the same, where motor and link come to no rest; None: nowhere
     start_mask: NDArray[np.bool_] | None = None  # (N,) the same, until motor and link have met; None: nowhere
+
+    @cached_property
+    def recorded(self) -> Recorded:
+        """What a page may know of the recording: its length and travel."""
+        lowest, highest = float(np.min(self.positions)), float(np.max(self.positions))
+        turns = not self.recording.output_unit.startswith("m")
+        return Recorded(float(self.drive.time[-1]), lowest, highest - lowest, turns)
 
     @cached_property
     def resting(self) -> NDArray[np.bool_]:

@@ -538,11 +538,11 @@ def piece(x, p, k, command, h):
                 reverse = 0.0
                 # Only what is at rest needs both.
                 if x.motor_velocity >= 0.0 or x.velocity >= 0.0:
-                    forward = grip(place, speed_l, 1.0, through, p)
+                    forward = grip(place, speed_l, 1.0, through, moment, p)
                     if forward < 0.0:
                         forward = 0.0
                 if x.motor_velocity <= 0.0 or x.velocity <= 0.0:
-                    reverse = grip(place, speed_l, -1.0, through, p)
+                    reverse = grip(place, speed_l, -1.0, through, moment, p)
                     if reverse < 0.0:
                         reverse = 0.0
                 left_m = net(push_m, dry * forward, dry * reverse, x.motor_velocity)
