@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from twin.cli.command import Command, add_closed, add_log, add_out, add_structure, check_outputs, load
-from twin.cli.output import answer_user, assumption_lines, show_progress
+from twin.cli.output import answer_user, assumption_lines, fault_lines, show_progress
 
 
 def _diagnose(args: argparse.Namespace) -> int:
@@ -51,7 +51,7 @@ def _diagnose(args: argparse.Namespace) -> int:
         files.put(experiment_file, experiment)
     if args.report is not None:
         files.put(args.report, page)
-    said = [*assumption_lines(rig), *wording.sentences(d), *d.remarks]
+    said = [*assumption_lines(rig), *fault_lines(recordings), *wording.sentences(d), *d.remarks]
     said += [wording.doubt(u) for u in d.undecided]
     if experiment:
         said.append(f"Next: {d.experiment.why} The input to play is in {experiment_file}.")

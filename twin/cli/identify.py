@@ -21,7 +21,7 @@ def _identify(args: argparse.Namespace) -> int:
         recordings, rig = load(args, tell)
         from twin.estimation import estimate
         from twin.io import files
-        from twin.io.recording import faults_of
+        from twin.io.recording import faults_of, preflight_of
         from twin.model import fitted_model
         from twin.report import wording
 
@@ -42,6 +42,7 @@ def _identify(args: argparse.Namespace) -> int:
         "horizon": args.horizon,
         "effects": list(found.structure.ids),
         "parameters": parameters_to_json(found),
+        "preflight": preflight_of(recordings),
         "recording_faults": faults_of(recordings),
         "assumed": list(rig.assumed),
     }

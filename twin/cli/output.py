@@ -19,6 +19,8 @@ Progress = Callable[[str, float], None]
 Answer = Mapping[str, Any]
 #: In a log each time that a bar is drawn is a line: so many seconds apart.
 LINE = 30.0
+#: So many lines on what was found in the recordings.
+MOST_LINES = 12
 
 
 @contextmanager
@@ -93,11 +95,18 @@ def assumption_lines(rig: Rig) -> list[str]:
 
 
 def fault_lines(recordings: Sequence[Recording]) -> list[str]:
-    """What was left out of each recording, by its name where there are several."""
+    """What was found and left out in each recording, by its name where there are several."""
     from twin.io.faults import summarise
 
     several = len(recordings) > 1
-    return [f"{r.name}: {line}" if several else line for r in recordings for line in summarise(r.faults)]
+    lines = [(r.name, line) for r in recordings for line in [*_preflight_lines(r), *summarise(r.faults)]]
+    said = [f"{name}: {line}" if several else line for name, line in lines[:MOST_LINES]]
+    more = len(lines) - len(said)
+    return [*said, f"and {more} more lines of this kind; --json FILE holds them all"] if more else said
+
+
+def _preflight_lines(recording: Recording) -> list[str]:
+    return [f"{f.says[0].upper()}{f.says[1:]}." for f in recording.preflight]
 
 
 def parameters_to_json(model: Model) -> dict[str, Any]:

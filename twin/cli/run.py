@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from twin.cli.command import Command, add_log, add_out, add_structure, check_bandwidth, check_outputs, load
-from twin.cli.output import answer_user, assumption_lines, parameters_to_json, show_progress
+from twin.cli.output import answer_user, assumption_lines, fault_lines, parameters_to_json, show_progress
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -35,7 +35,7 @@ def _run(args: argparse.Namespace) -> int:
         "tracking": None if story.tracking is None else cosimulation.to_json(story.tracking),
         "seconds": dict(story.seconds),
     }
-    said = [*assumption_lines(rig), *says, *story.remarks]
+    said = [*assumption_lines(rig), *fault_lines(recordings), *says, *story.remarks]
     said.append(f"Everything is in {args.out / 'report.html'}; the twin is {args.out / 'improved.fmu'}.")
     answer_user(args, said, answer)
     return 0

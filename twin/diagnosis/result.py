@@ -14,7 +14,7 @@ from twin.diagnosis.change import Change
 from twin.diagnosis.residual_torque import MissingTorque, Segment, TorqueShape
 from twin.display.numbers import measure, number, percent
 from twin.display.table import DisplayTable, Tabular
-from twin.io.recording import Recording, faults_of
+from twin.io.recording import Recording, faults_of, preflight_of
 from twin.model.fitted_model import Model
 
 FloatArray = NDArray[np.float64]
@@ -181,6 +181,7 @@ def to_json(diagnosis: Diagnosis, experiment_file: str = "") -> dict[str, Any]:
             "segments": [{"start": s.start, "end": s.end, "share": s.share} for s in d.segments],
         },
         "fit": {role: {when: _fitness(f) for when, f in both.items()} for role, both in d.fit.items()},
+        "preflight": preflight_of(d.recordings),
         "recording_faults": faults_of(d.recordings),
         "next_experiment": {"why": d.experiment.why, "file": experiment_file},
         "undecided": [

@@ -13,13 +13,17 @@ import numpy.typing as npt
 from twin.display.table import DisplayTable, Tabular
 from twin.errors import BadInput
 from twin.io.cleaning import Raw, clean_optional, clean_output, hold
+from twin.io.clock import bridge_jumps, check_unit, spread_bursts, undo_counter_wraps
 from twin.io.faults import Fault, find_gaps
 from twin.io.joined import join_files
 from twin.io.manifest import Entry, entries_of
+from twin.io.preflight.checks import examine, reversed_alone, slow_sensor
+from twin.io.preflight.finding import Finding, Severity
+from twin.io.preflight.response import Signals
+from twin.io.preflight.standing import Columns, contradicted
 from twin.io.rig_file import Clock, Column, Direction, LoopRig, Rig, guess_rig, guess_time, read_rig
 from twin.io.tables.formats import open_tables
 from twin.io.tables.table import Table, listing
-from twin.io.units import TIME_UNITS
 
 __all__ = [
     "Fault", "FloatArray", "Loop", "Recording", "Rig", "command_of", "driven", "known_quantities", "load", "read_rig",
@@ -28,12 +32,12 @@ __all__ = [
 FloatArray = npt.NDArray[np.float64]
 
 _LEAST_SAMPLES = 50
-#: The shortest sample time of any logger of an axis, s, and what sample times usually are.
-_FASTEST, _USUAL = 1e-7, (1e-5, 0.2)
 #: A converted reading or input beyond this is no number of an axis, but the mark of a fault or an overflow.
 _LARGEST = 1e12
-#: A sample time, s, a duty, %, and a pause, s, beyond which a unit is wrong or a cell is bad.
-_SLOWEST, _FULL, _PAUSE = 0.5, 1e4, 1e5
+#: A duty, %, and a pause, s, beyond which a unit is wrong or a cell is bad.
+_FULL, _PAUSE = 1e4, 1e5
+#: So many recordings that move tell which column is a speed.
+_WITNESSES = 3
 _NOMINAL = "supply_nominal"
 _NO_HEADER = " (the file has no header: a column is named by its number, from 1)"
 #: Known quantities that mean something to twin; others may be there for the gains of a loop.
@@ -82,6 +86,7 @@ class Recording(Tabular):
     location: str = "link"  # "link" | "motor": the side of gear, gap and elasticity that the sensor sits on
     refresh: float | None = None  # s, how often the sensor is read anew; None: not known
     rig: Rig | None = None  # what the columns of the file were
+    preflight: tuple[Finding, ...] = ()  # what was found before any fit
 
     def __repr__(self) -> str:
         quantity = "speed" if self.is_speed else "position"
@@ -221,11 +226,24 @@ def check_units(recording: Recording, where: str, input_unit: str, axis_unit: st
 
 
 def to_fit(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings that may be fitted. Raises BadInput where there are none."""
+    """The recordings that may be fitted. Raises BadInput where there are none, or where nothing could be concluded."""
     train = [r for r in recordings if r.role == "train"]
     if not train:
         raise BadInput("every recording has the role holdout: give at least one to fit")
+    for recording in recordings:
+        for finding in recording.preflight:
+            if finding.severity is Severity.BLOCKS:
+                raise BadInput(f"{recording.name}: {finding.says}")
     return train
+
+
+def preflight_of(recordings: Sequence[Recording]) -> list[dict[str, str]]:
+    """What the checks before any fit found, as JSON of every command says it."""
+    return [
+        {"recording": r.name, "kind": f.kind, "severity": f.severity.value, "says": f.says}
+        for r in recordings
+        for f in r.preflight
+    ]
 
 
 def faults_of(recordings: Sequence[Recording]) -> list[dict[str, Any]]:
@@ -251,7 +269,7 @@ def load(paths: Sequence[Path], rig: Path | None = None) -> tuple[list[Recording
     if rig is None:
         _check_one_rig([Path(p) for p in paths])
     opened: dict[Path, list[Table]] = {}
-    recordings = []
+    recordings, sources = [], []
     for entry in entries:
         tables = opened.get(entry.path) or open_tables(entry.path)
         opened = {entry.path: tables}  # windows of one file stand together in a manifest
@@ -260,9 +278,72 @@ def load(paths: Sequence[Path], rig: Path | None = None) -> tuple[list[Recording
                 chosen = _guess(table)
             joined = join_files(table, chosen, entry.path, _clock(table, chosen.time))
             recordings.append(_recording(*joined, entry))
+            sources.append((entry.path, table.test))
     assert chosen is not None
+    recordings = _without_standing(recordings, sources, chosen)
     _check_moves(recordings)
-    return _share_supply(_share_resolution(recordings, chosen.output.resolution)), chosen
+    return _examined(_share_supply(_share_resolution(recordings, chosen.output.resolution)), chosen), chosen
+
+
+def _without_standing(recordings: list[Recording], sources: Sequence[tuple[Path, str]], rig: Rig) -> list[Recording]:
+    """The recordings without those whose output stands still while another column says that the axis moves."""
+    still = [k for k, r in enumerate(recordings) if np.ptp(r.output[np.isfinite(r.output)]) == 0]
+    moving = [k for k in range(len(recordings)) if k not in still]
+    if not still or not moving:
+        return recordings
+    looked_at = [*moving[:_WITNESSES], *still]
+    found = contradicted([_columns(recordings[k], *sources[k], rig) for k in looked_at])
+    out = {looked_at[k]: name for k, name in found.items()}
+    first = moving[0]
+    findings = tuple(
+        Finding(
+            "standing",
+            f"{recordings[k].name}: the output stands still throughout while column '{name}' says that the axis moves; "
+            "the recording is left out",
+            Severity.WARNS,
+        )
+        for k, name in out.items()
+    )
+    recordings[first] = replace(recordings[first], preflight=findings)
+    return [r for k, r in enumerate(recordings) if k not in out]
+
+
+def _columns(recording: Recording, path: Path, test: str, rig: Rig) -> Columns:
+    """The output of a recording and the columns of its file that nothing else uses, on the same rows."""
+    (table,) = [t for t in open_tables(path) if t.test == test]
+    used = {rig.input.name, rig.output.name, rig.time.column}
+    others = {}
+    for name in table.names:
+        if name in used:
+            continue
+        try:
+            (values,) = table.columns([name])
+        except BadInput:  # a column of text
+            continue
+        if values.size == recording.time.size and np.isfinite(values).any():
+            others[name] = values
+    return Columns(recording.time, recording.output, recording.is_speed, others)
+
+
+def _examined(recordings: list[Recording], rig: Rig) -> list[Recording]:
+    """The recordings with what the checks before any fit find in each of them, or in all of them together."""
+    factor, offset = rig.input.scale * rig.input.factor, rig.input.offset
+    signals = [
+        Signals(
+            r.name, r.time, command_of(r), r.output, r.is_speed, r.resolution,
+            np.round(r.input / factor + offset, 9), r.input_unit,
+        )
+        for r in recordings
+    ]  # fmt: skip
+    together = examine(signals)
+    found = [list(r.preflight) for r in recordings]
+    found[0] += together
+    for own, r, s in zip(found, recordings, signals, strict=True):
+        if r.refresh is not None and rig.refresh is None:
+            own.append(slow_sensor(s, r.refresh))
+        if len(recordings) > 1 and not any(f.severity is Severity.BLOCKS for f in together):
+            own += reversed_alone(s)
+    return [replace(r, preflight=tuple(own)) for r, own in zip(recordings, found, strict=True)]
 
 
 def _tests(tables: Sequence[Table], entry: Entry) -> list[Table]:
@@ -311,6 +392,7 @@ def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
     reading = _convert(raw[rig.output.name], rig.output)
     if not np.isfinite(reading).any():
         raise BadInput(f"{table.name}: column '{rig.output.name}' holds no number")
+    _check_sense(table, rig, clock, time, rows, _Drive(drive, raw[rig.input.name]))
     optional: dict[str, FloatArray] = {}
     for key, column in rig.optional.items():
         column_read = Raw(
@@ -329,7 +411,6 @@ def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
             time, _convert(raw[rig.loop.reference], rig.output), "reference", table.name
         )
         faults += found
-    _check_sense(table, rig, clock, time, drive, rows)
     recording = Recording(
         name=Path(table.name).name,
         time=time,
@@ -359,19 +440,22 @@ def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
     return recording
 
 
+@dataclass(frozen=True, eq=False)
+class _Drive:
+    """The input of a recording. Arrays have shape (N,)."""
+
+    values: FloatArray
+    logged: FloatArray  # as the file holds it
+
+
 def _check_sense(
-    table: Table, rig: Rig, clock: Clock, time: FloatArray, drive: FloatArray, rows: npt.NDArray[np.intp]
+    table: Table, rig: Rig, clock: Clock, time: FloatArray, rows: npt.NDArray[np.intp], taken: _Drive
 ) -> None:
     """Raises BadInput for numbers that no axis makes, which a wrong unit or a bad cell does."""
+    drive, logged = taken.values, taken.logged
     steps = np.diff(time)
-    step = float(np.median(steps)) if steps.size else _FASTEST
-    if not _FASTEST <= step <= _SLOWEST:
-        said = f"column '{clock.column}'" if clock.column is not None else "sample_time"
-        why = "too slow to see an axis move" if step > _SLOWEST else "faster than any logger"
-        raise BadInput(
-            f"{table.name}: {said} makes {step:g} s from sample to sample, {why}; "
-            f"{_other_units(step / clock.factor)} in [time] of {'a rig.toml' if rig.assumed else rig.name}"
-        )
+    said = f"column '{clock.column}'" if clock.column is not None else "sample_time"
+    check_unit(time, clock.factor, f"{table.name}: {said}", "a rig.toml" if rig.assumed else rig.name)
     if steps.max(initial=0.0) > _PAUSE:
         row = int(rows[int(np.argmax(steps)) + 1])
         raise BadInput(
@@ -382,16 +466,16 @@ def _check_sense(
     if rig.input.unit == "%" and beyond.size:
         raise BadInput(
             f"{table.name}: {table.where(int(rows[beyond[0]]))}, column '{rig.input.name}': {drive[beyond[0]]:.6g} % "
-            "is far beyond full drive; correct or empty it, or give [input] full_scale in the rig file"
+            f"is far beyond full drive; {_cure_of_duty(logged)}"
         )
 
 
-def _other_units(step: float) -> str:
-    """What to do about a wrong unit of time: the units that make sense of a step, as logged."""
-    sensible = {u: step * factor for u, (_, factor) in TIME_UNITS.items() if _USUAL[0] <= step * factor <= _USUAL[1]}
-    if not sensible:
-        return "give the right unit or scale of time"
-    return ", or ".join(f'if it is in {u} ({seconds:.3g} s), say unit = "{u}"' for u, seconds in sensible.items())
+def _cure_of_duty(logged: FloatArray) -> str:
+    """What to do about numbers that are far beyond full drive."""
+    whole = logged[np.isfinite(logged)]
+    if whole.min() >= 0 and 2.0**15 <= whole.max() < 2.0**16 and np.array_equal(whole, np.round(whole)):
+        return "if the column holds signed numbers that were read without their sign, say signed_bits = 16 in [input]"
+    return "correct or empty it, or give [input] full_scale in the rig file"
 
 
 def _clock(table: Table, clock: Clock) -> Clock:
@@ -443,12 +527,14 @@ def _time(
     if rows.size < 2:
         raise BadInput(f"{table.name}: column '{column}' holds fewer than two time stamps")
     with np.errstate(over="ignore", invalid="ignore"):
-        time: FloatArray = np.asarray((stamps[rows] - stamps[rows[0]]) * clock.factor, dtype=np.float64)
+        unwrapped, wraps = undo_counter_wraps(stamps[rows])
+        time: FloatArray = np.asarray((unwrapped - unwrapped[0]) * clock.factor, dtype=np.float64)
     if not np.isfinite(time).all():
         row = int(rows[int(np.argmin(np.isfinite(time)))])
         raise BadInput(
             f"{table.name}: {table.where(row)}, column '{column}': {stamps[row]:g} is no time stamp; correct it"
         )
+    time, jumps = bridge_jumps(time, raw[rig.output.name][rows])
     step = np.diff(time)
     back = np.flatnonzero(step < 0)
     if back.size:
@@ -467,11 +553,19 @@ def _time(
         Fault("clock", time[k], time[k], f"The stamp {time[k]:.4f} s comes twice; one sample is dropped.", "clock")
         for k in same
     ]
+    faults += [_clock_fault(time, k, "passes the largest number of its counter; it is continued") for k in wraps]
+    faults += [_clock_fault(time, k, "jumps while the axis moves on; the jump is taken out") for k in jumps]
     keep = np.concatenate(([True], step > 0))
+    spread = spread_bursts(time[keep])
+    faults += spread.faults
     if rows.size < stamps.size:
         count = stamps.size - rows.size
         faults.append(Fault("missing", 0.0, time[-1], f"{count} samples without a time stamp are dropped.", "clock"))
-    return time[keep], rows[keep], faults
+    return spread.time, rows[keep], faults
+
+
+def _clock_fault(time: FloatArray, k: int, says: str) -> Fault:
+    return Fault("clock", float(time[k]), float(time[k + 1]), f"The clock {says} at {time[k + 1]:.3f} s.", "clock")
 
 
 def _sense(time: FloatArray, raw: FloatArray, direction: Direction, name: str) -> FloatArray:
