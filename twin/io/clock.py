@@ -116,7 +116,7 @@ def check_unit(time: FloatArray, factor: float, where: str, rig_file: str) -> No
     fitting = {
         unit: raw_step * f
         for unit, (_, f) in TIME_UNITS.items()
-        if SHORTEST_STEP <= raw_step * f <= LONGEST_STEP and raw_length * f >= _SHORTEST and f != factor
+        if SHORTEST_STEP <= raw_step * f <= LONGEST_STEP and (raw_length * f >= _SHORTEST or not short) and f != factor
     }
     if short and not fitting and step >= 1e-6:
         return  # a quick burst of a fast converter: no other unit makes more of it
