@@ -40,7 +40,7 @@ def undo_counter_wraps(stamps: FloatArray) -> tuple[FloatArray, list[int]]:
     usual = float(np.median(step[step >= 0]))
     for size in _COUNTERS:
         mended = step[back] + size
-        if np.all((mended >= 0.0) & (mended <= _PAUSE_STEPS * usual)):
+        if np.all((mended >= 0.0) & (mended <= _PAUSE_STEPS * usual) & (mended < 0.1 * size)):
             passed = np.zeros(stamps.size)
             passed[back + 1] = size
             return stamps + np.cumsum(passed), [int(k) for k in back]
@@ -59,7 +59,8 @@ def bridge_jumps(time: FloatArray, reading: FloatArray) -> tuple[FloatArray, lis
     moved = np.abs(np.diff(reading))
     for k in jumps:
         around = np.concatenate([moved[max(0, k - 5) : k], moved[k + 1 : k + 6]])
-        if around.size < 6 or not np.all(around > 0) or not 0 < moved[k] <= 2.0 * np.max(around):
+        lone = k + 1 < step.size and step[k + 1] > 1.5 * usual  # one bad stamp, after which the clock is as it was
+        if lone or around.size < 6 or not np.all(around > 0) or not 0 < moved[k] <= 2.0 * np.max(around):
             return time, []
     mended = step.copy()
     mended[jumps] = usual
