@@ -24,6 +24,7 @@ from twin.cli import output
 from twin.cli.main import main
 from twin.control import controller
 from twin.diagnosis import diagnose, result
+from twin.effects.catalogue import EFFECTS, UNKNOWN
 from twin.estimation import estimate
 from twin.estimation.preparation import base_structure
 from twin.fmi import python_fmu
@@ -625,3 +626,24 @@ def test_a_poor_console_gets_plain_text(shelf, tmp_path):
     )  # fmt: skip
     assert said.returncode == 0, said.stderr
     assert "The twin fits" in said.stdout
+
+
+# ---- the vocabulary ----
+
+
+def test_the_vocabulary_is_shown_and_one_effect_in_full(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = call(capsys, "effects")
+    assert code == 0 and "gravity" in out and "coulomb_friction" in out and "unknown_" not in out
+    code, out, _ = call(capsys, "effects", "gravity", "--json", "gravity.json")
+    assert code == 0 and "gravity_gain*sin(" in out and "travel over more than half a turn" in out
+    told = json.loads((tmp_path / "gravity.json").read_text(encoding="utf-8"))["effects"][0]
+    assert "sin" in told["equation"] and told["confused_with"].keys() >= {"spring"}
+    assert "known are" not in out and "there are" in refused(capsys, tmp_path, "effects", "gravitation")
+
+
+def test_every_effect_can_be_shown(capsys):
+    for effect in EFFECTS:
+        if effect not in UNKNOWN:
+            code, out, _ = call(capsys, "effects", effect)
+            assert code == 0 and "source: " in out

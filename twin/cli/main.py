@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from typing import NoReturn
 
-from twin.cli import control, cosim, diagnose, export, identify, replay, run, track
+from twin.cli import control, cosim, diagnose, effects, export, identify, replay, run, track
 from twin.cli.command import Command
 from twin.cli.output import printable
 from twin.errors import BadInput
@@ -34,6 +34,7 @@ COMMANDS: tuple[Command, ...] = (
     cosim.COMMAND,
     replay.CHECK,
     track.COMMAND,
+    effects.COMMAND,
 )
 
 

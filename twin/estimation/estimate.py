@@ -29,8 +29,9 @@ def _known_effect(name: str, where: str) -> str:
     if name in EFFECTS:
         return name
     close = get_close_matches(name.replace("-", "_").lower(), EFFECTS, 1, 0.5)
-    meant = f"did you mean {close[0]}?" if close else f"known are {', '.join(i for i in EFFECTS if i not in UNKNOWN)}"
-    raise BadInput(f"{where}: there is no effect {name!r}; {meant}")
+    meant = f"did you mean {close[0]}? " if close else ""
+    known = ", ".join(i for i in EFFECTS if i not in UNKNOWN)
+    raise BadInput(f"{where}: there is no effect {name!r}; {meant}known are {known}")
 
 
 def first_structure(
