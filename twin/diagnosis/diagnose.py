@@ -211,8 +211,8 @@ def _curve_replaces_names(
     where nothing is named and that of the first plainly does, one that foretells need not do more than is its price.
     Every real friction departs a little from its name, and a curve that may take any shape follows it; but what else
     the name says, as that friction turns with the motion, the curve does not have. So names keep their place where they
-    grow again beside the curve and each still earns it there, and dry friction does that leaves little, where the curve
-    is one over the speed: what varies a motor over its turn does as friction that varies would, but is none. A ripple
+    grow again beside the curve and each still earns it there, and dry friction does that leaves little, alone or with a constant torque, where the
+    curve is one over the speed: what varies a motor over its turn does as friction that varies would, but is none. A ripple
     keeps its name from a curve that is the same ripple with its overtones.
     """
     if curve_substitution.is_ripple(found.last, nameless):
@@ -226,7 +226,9 @@ def _curve_replaces_names(
     earns = model_comparison.is_significant(found.last, nameless)
     if not (earns or certain):
         return False
-    follows = "unknown_velocity" in nameless.structure and all(e.slot == "grip" for e in new)
+    follows = "unknown_velocity" in nameless.structure and all(
+        e.slot == "grip" or e.id == "constant_offset" for e in new
+    )
     if new and follows and left[1].size < thresholds.DRY_FRICTION_SHARE * left[0].size:
         return False
     goes = any(one.p_value < thresholds.DEPENDENCE_MAX_P_VALUE for one in left) and selection_round.is_confirmed(
