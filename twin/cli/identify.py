@@ -21,12 +21,15 @@ def _identify(args: argparse.Namespace) -> int:
         recordings, rig = load(args, tell)
         from twin.estimation import estimate
         from twin.io import files
-        from twin.io.recording import faults_of, preflight_of
+        from twin.io.recording import faults_of, preflight_of, to_fit
         from twin.model import fitted_model
         from twin.report import wording
 
         structure = estimate.first_structure(recordings, args.include, args.exclude)
         found = estimate.identify(recordings, structure, args.method, args.horizon, args.closed_loop, tell)
+        from twin.diagnosis import free_run_error  # late: bad input is refused without it
+
+        errors = free_run_error.free_run_errors(found, to_fit(recordings), args.closed_loop)
     files.put(args.out, fitted_model.dumps(found))
     said = [
         *assumption_lines(rig),
@@ -34,6 +37,7 @@ def _identify(args: argparse.Namespace) -> int:
         *fault_lines(recordings),
         f"{args.out}: {found.structure}, by the {args.method} method:",
         *parameter_lines(found),
+        *free_run_error.sentences(errors, recordings[0].output_unit),
     ]
     answer = {
         "format": "twin-identify/1",
@@ -43,6 +47,15 @@ def _identify(args: argparse.Namespace) -> int:
         "effects": list(found.structure.ids),
         "parameters": parameters_to_json(found),
         "preflight": preflight_of(recordings),
+        "free_run": [
+            {
+                "recording": e.recording,
+                "rmse": e.rmse,
+                "nrmse_percent": e.nrmse_percent,
+                "missing_torque_depends_on": list(e.depends_on),
+            }
+            for e in errors
+        ],
         "recording_faults": faults_of(recordings),
         "assumed": list(rig.assumed),
     }

@@ -211,8 +211,9 @@ def _curve_replaces_names(
     where nothing is named and that of the first plainly does, one that foretells need not do more than is its price.
     Every real friction departs a little from its name, and a curve that may take any shape follows it; but what else
     the name says, as that friction turns with the motion, the curve does not have. So names keep their place where they
-    grow again beside the curve and each still earns it there, and dry friction does that leaves little, alone or with a constant torque, where the
-    curve is one over the speed: what varies a motor over its turn does as friction that varies would, but is none. A ripple
+    grow again beside the curve and each still earns it there. So does dry friction that leaves little, alone or with a
+    constant torque, where the curve is one over the speed: what varies a motor over its turn does as friction that
+    varies would, but is none. A ripple
     keeps its name from a curve that is the same ripple with its overtones.
     """
     if curve_substitution.is_ripple(found.last, nameless):

@@ -53,6 +53,13 @@ def _notes(point: Fit, covariance: NDArray[np.float64]) -> dict[str, str]:
             notes[name] = f"the recording cannot fix it: it and {partner} show only together; {_remedy(name, partner)}"
         else:
             notes[name] = f"the recording cannot fix it; {_remedy(name, '')}"
+    for name in point.free:
+        bounds = parameter_bounds.bounds_of(name)
+        if name in multistart.MULTIMODAL and point.values[name] in bounds and point.values[name] != 0.0:
+            told = (
+                f"it ends at its bound of {point.values[name]:.3g}: a sign that it makes up for physics that is missing"
+            )
+            notes[name] = "; ".join([told, *filter(None, [notes.get(name)])])
     if not point.converged and point.free:
         # Every model has an input gain, and it comes first: what is said of it is read.
         told = f"the fit did not converge, no value is final: {point.message}"
