@@ -76,6 +76,7 @@ def sentences(errors: Sequence[FreeRunError], unit: str) -> list[str]:
         worst = max(lacking, key=lambda e: e.nrmse_percent)
         said.append(
             f"warning: the model lacks physics: in {worst.recording} the missing torque depends on "
-            f"{' and '.join(worst.depends_on)}. Its parameters make up for that; run twin diagnose."
+            f"{' and '.join(worst.depends_on)}. Its parameters make up for that. "
+            "Run twin diagnose; until then a fit over a horizon serves long runs better."
         )
     return said

@@ -321,14 +321,12 @@ def run_round(
         before = smaller
     least = thresholds.PROMISING_SHARE * thresholds.MIN_GAIN * unit
 
-    def far() -> float:
-        """The deviance above which a rival is far behind the best."""
+    def far() -> float:  # the deviance above which a rival is far behind the best
         gain = before.deviance - leading(1)[0].deviance
         return before.deviance - max(thresholds.CLOSE_SHARE * gain, least)
 
     if before.deviance - leaders[0].deviance > least:
-        # What is easily mistaken for the best, and is not near it, is tried in its place: the model without either may
-        # have gone astray.
+        # What is confused with the best and far behind it is tried in its place: the model without both may be misled.
         near_it = [h.added for h in best.values() if h.deviance < far()]
         masks = [e for e in candidates if (e,) not in near_it and _is_confusable(e, leaders[0])]
         keep(each(lambda e: _fit_in_place_of_winner(problem, leaders[0], structure, e), masks))
