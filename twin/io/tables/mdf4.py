@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from twin.errors import BadInput
-from twin.io.tables.library import call_library
+from twin.io.tables.library import call_in_child
 from twin.io.tables.table import MAX_BYTES, Signal, Table, from_signals, missing_package, unique_names
 
 _KIND = "MDF4"
@@ -38,7 +38,7 @@ def open_mdf(path: Path) -> Table:
                 if file.masters_db.get(g) != c and channel.data_type in numeric and _cycles(group) > 0
             ]
 
-    found = call_library(path, _KIND, channels)
+    found = call_in_child(path, _KIND, channels)
     names = unique_names([(f"{name} (group {g + 1})", name) for name, _, g, _ in found])
     places = {name: (g, c) for name, (_, _, g, c) in zip(names, found, strict=True)}
     units = {name: unit for name, (_, unit, _, _) in zip(names, found, strict=True) if unit}
@@ -55,7 +55,7 @@ def open_mdf(path: Path) -> Table:
                     raise BadInput(f"{path}: column '{name}' holds no numbers; name another")
                 return np.asarray(got.timestamps, dtype=np.float64), samples.astype(np.float64)
 
-        return call_library(path, _KIND, read)
+        return call_in_child(path, _KIND, read)
 
     return from_signals(str(path), list(places), signal, units)
 
