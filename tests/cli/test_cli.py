@@ -21,7 +21,7 @@ from example_diagnosis import example, model_of, recording_of
 
 from twin import pipeline
 from twin.cli import output
-from twin.cli.main import main
+from twin.cli.main import EXAMPLES, _parser, main
 from twin.control import controller
 from twin.diagnosis import diagnose, result
 from twin.effects.catalogue import EFFECTS, UNKNOWN
@@ -647,3 +647,9 @@ def test_every_effect_can_be_shown(capsys):
         if effect not in UNKNOWN:
             code, out, _ = call(capsys, "effects", effect)
             assert code == 0 and "source: " in out
+
+
+@pytest.mark.parametrize("command", EXAMPLES)
+def test_the_example_of_a_command_is_one_that_it_takes(command):
+    name, *given = EXAMPLES[command].split()
+    assert name == "twin" and _parser().parse_args(given).command == command

@@ -38,6 +38,21 @@ COMMANDS: tuple[Command, ...] = (
 )
 
 
+#: One call of each command, shown below its --help.
+EXAMPLES = {
+    "run": "twin run recording.csv --rig rig.toml --out out",
+    "identify": "twin identify recording.csv --with gravity --out model.toml",
+    "export": "twin export model.toml --target native --fmi 3 --out arm.fmu",
+    "update": "twin update arm.fmu --from model.toml",
+    "simulate": "twin simulate arm.fmu --log recording.csv --out simulated.csv",
+    "diagnose": "twin diagnose recording.csv --out improved.toml --report report.html",
+    "control": "twin control improved.toml --bandwidth 2 --out controller.toml",
+    "cosim": "twin cosim improved.fmu controller.toml --reference step --plot step.svg",
+    "check": "twin check arm.fmu --log recording.csv --max-nrmse 5",
+    "track": "twin track model.toml monday.csv tuesday.csv --out history",
+    "effects": "twin effects gravity",
+}
+
 #: The options by the arguments of the library that they set, where the two have different names.
 FLAGS = {
     "include": "--with", "exclude": "--without", "closed_loop": "--closed", "names": "--map",
@@ -94,9 +109,11 @@ def _parser() -> _Parser:
     parser.add_argument("--version", action="store_true", help="the version, and no more")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=_Parser)
     for command in COMMANDS:
+        example = EXAMPLES.get(command.name)
         own = commands.add_parser(
-            command.name, parents=[_common_arguments()], help=command.says, description=command.says
-        )
+            command.name, parents=[_common_arguments()], help=command.says, description=command.says,
+            epilog=example and f"example: {example}",
+        )  # fmt: skip
         own.set_defaults(handler=command.handler)
         command.add_arguments(own)
     return parser
