@@ -153,7 +153,7 @@ class Axis(Fmi2Slave):
         v, x = self.v, self.x
         v[self.outer] = x[:2]
         v[self.hidden] = x[2:]
-        v[self.measured] = x[0] + sensor(x[0], self.p)  # noqa: F821
+        v[self.measured] = x[0] + sensor(x[0], x[2], self.p)  # noqa: F821
 
     # Steps
 

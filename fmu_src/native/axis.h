@@ -34,7 +34,7 @@ static void refresh(State *s)
         rates(x, s->slot + FIRST_PARAMETER, s->slot + FIRST_KNOWN, s->slot[COMMAND]);
     }
 #endif
-    s->slot[MEASURED] = x[POSITION] + sensor(x[POSITION], s->slot + FIRST_PARAMETER);
+    s->slot[MEASURED] = x[POSITION] + sensor(x[POSITION], x[GAP], s->slot + FIRST_PARAMETER);
     s->stale = 0;
 }
 

@@ -18,8 +18,8 @@ from twin.report import figures
 
 UNITS = ("rad", "m")
 READ = {
-    "position": "@", "velocity": r"\dot{@}", "time": "t", "command": "u", "emf": r"u_{\omega}", "heat": "h",
-    "bend": "z", "tug": "a_{y}",
+    "position": "@", "velocity": r"\dot{@}", "gap": r"\gamma", "time": "t", "command": "u",
+    "emf": r"u_{\omega}", "heat": "h", "bend": "z", "tug": "a_{y}",
     "moment": "S_{p}", "payload": "J_{p}", "direction": r"\sigma", "transmitted": r"\lambda",
 }  # fmt: skip
 WRITTEN_OUT = [e.id for e in EFFECTS.values() if e.law is not None and len(trace(e.id).parameters) <= 6]

@@ -222,8 +222,9 @@ def test_a_sagging_supply_gives_what_its_own_current_leaves(command, emf, sag, s
 # Units --------------------------------------------------------------------------------------------------
 
 SLOT_UNITS = {
-    "command": "{u}", "emf": "{u}", "heat": "1", "bend": "1", "position": "{x}", "velocity": "{x}/s", "time": "s",
-    "tug": "{x}/s^2", "direction": "1", "transmitted": "{x}/s^2", **{name: unit for name, (unit, _) in KNOWN.items()},
+    "command": "{u}", "emf": "{u}", "heat": "1", "bend": "1", "position": "{x}", "velocity": "{x}/s", "gap": "{x}",
+    "time": "s", "tug": "{x}/s^2", "direction": "1", "transmitted": "{x}/s^2",
+    **{name: unit for name, (unit, _) in KNOWN.items()},
 }  # fmt: skip
 RETURNS = {
     "drive": "{u}", "load": "{x}/s^2", "shaft": "{x}/s^2", "drag": "{x}/s^2", "bristle": "{x}/s^2", "rider": "{x}/s^2",
@@ -326,7 +327,7 @@ def test_python_numba_and_c_agree(ids, tmp_path):
     structure = Structure.of(ids)
     source, library = tmp_path / "axis.c", tmp_path / "axis.so"
     entry = "double go(double *x, double *p, double *k, double u, double h) { return step(x, p, k, u, h); }\n"
-    used = "double look(double position, double *p) { return sensor(position, p); }\n"
+    used = "double look(double position, double *p) { return sensor(position, 0.0, p); }\n"
     source.write_text(c.write(structure) + "\n" + entry + used)
     flags = ["-O2", "-std=c99", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-ffp-contract=off"]
     subprocess.run([compiler, *flags, "-o", library, source, "-lm"], check=True)
@@ -370,7 +371,7 @@ def in_high_precision(structure: Structure, values: dict, command: np.ndarray) -
     sample = EXACT("0.002")
     readings = []
     for i in range(len(command)):
-        readings.append(x[0] + space["sensor"](x[0], p))
+        readings.append(x[0] + space["sensor"](x[0], x[2], p))
         late = min(delay / sample, i + 1) if delay else 0
         whole = int(late)
         earlier = command[i - whole - 1] if i > whole else 0.0

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from axis_runs import run, steps
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.estimation import likelihood, optimizer, prepared_recording
+from twin.estimation import estimate, likelihood, optimizer, prepared_recording
 from twin.estimation.problem import FitProblem, free_parameters
 from twin.io.recording import Recording
 from twin.model import sensor
@@ -61,3 +63,53 @@ def test_an_encoder_off_centre_is_estimated_wherever_a_recording_begins(angle: f
     for i, name in enumerate(free):
         up, down = ({**found.values, name: found.values[name] + s} for s in (1e-6, -1e-6))
         np.testing.assert_allclose(-slopes[:, i], (error(up) - error(down)) / 2e-6, rtol=1e-3, atol=1e-4)
+
+
+GEARED = Structure.of(("inertia", "viscous_friction", "dead_band", "backlash"))
+ON_MOTOR = GEARED.with_("motor_sensor")
+GEAR = VALUES | {"backlash_gap": 0.05, "motor_share": 0.3, "friction_share": 0.6}
+
+
+def test_a_sensor_on_the_motor_reads_the_motor() -> None:
+    rng = np.random.default_rng(2)
+    time = 0.002 * np.arange(3000)
+    y, states = run(ON_MOTOR, GEAR, time, steps(rng, len(time), 300, 40.0))
+    assert np.array_equal(y, states[:, 0] + states[:, 2]) and np.ptp(states[:, 2]) > 0.04
+    assert sensor.position(ON_MOTOR, GEAR, 1.0, 0.02) == pytest.approx(0.98)
+    assert sensor.gap_slope(ON_MOTOR, GEAR, 1.0, 0.02) == pytest.approx(-1.0)
+
+
+def test_the_rig_file_says_where_the_sensor_sits() -> None:
+    time = np.arange(0.0, 1.0, 0.01)
+    one = Recording("made", time, time, time, "%", "rad", COUNT)
+    assert "motor_sensor" not in estimate.first_structure([one])
+    assert "motor_sensor" in estimate.first_structure([replace(one, location="motor")])
+
+
+@pytest.mark.parametrize("speed", [False, True])
+def test_the_gap_behind_a_sensor_on_the_motor_is_estimated(speed: bool) -> None:
+    """The motor is alone in the gap and speeds up sooner: what it reads there says how wide the gap is."""
+    rng = np.random.default_rng(2)
+    time = 0.002 * np.arange(8000)
+    command = steps(rng, len(time), 150, 40.0)
+    _, states = run(ON_MOTOR, GEAR, time, command + 0.3 * rng.standard_normal(len(time)))
+    read = states[:, 3] + 0.01 * rng.standard_normal(len(time)) if speed else states[:, 0] + states[:, 2]
+    count = 1e-3 if speed else COUNT
+    recording = Recording(
+        "made", time, command, np.round(read / count) * count, "%", "rad/s" if speed else "rad", count
+    )
+    case = prepared_recording.prepare_recording(recording, ON_MOTOR)
+    found = optimizer.fit_with_process_noise(FitProblem([case]), ON_MOTOR, GEAR, free_parameters(ON_MOTOR))
+    assert found.values["backlash_gap"] == pytest.approx(0.05, rel=0.1)
+    assert found.values["motor_share"] == pytest.approx(0.3, abs=0.05)
+    assert found.values["input_gain"] == pytest.approx(0.4, rel=0.02)
+    seen_at_link = optimizer.fit_with_process_noise(FitProblem([case]), GEARED, GEAR, free_parameters(GEARED))
+    assert seen_at_link.deviance > found.deviance + 50.0
+
+    def error(values: dict[str, float]) -> np.ndarray:
+        return likelihood.innovations(case, ON_MOTOR, values, found.process_noise).error
+
+    slopes = likelihood.innovations(case, ON_MOTOR, found.values, found.process_noise, ("viscous_friction",)).slopes
+    up, down = ({**found.values, "viscous_friction": found.values["viscous_friction"] + s} for s in (1e-6, -1e-6))
+    apart = -slopes[:, 0] - (error(up) - error(down)) / 2e-6
+    assert np.median(np.abs(apart)) < 0.01 * np.abs(slopes[:, 0]).max()

@@ -139,6 +139,6 @@ void advance(double *x, const double *p, const double *k, double command, double
 
 def write(structure: Structure) -> str:
     """C text for one structure: `static double step(double *x, const double *p, const double *k, double command,
-    double h)`, `sensor(position, p)` and what they call. C99, needs only math.h, no state of its own.
+    double h)`, `sensor(position, gap, p)` and what they call. C99, needs only math.h, no state of its own.
     """
     return "#include <math.h>\n\n" + functions(module(structure), "step", "sensor")

@@ -180,8 +180,8 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
         m.started = 1.0
         m.nominal = p.offset
         m.acceleration = acceleration
-        x.position = reading - sensor(reading, p)
-    error = reading - x.position - sensor(x.position, p)
+        x.position = reading - sensor(reading, x.gap, p)
+    error = reading - x.position - sensor(x.position, x.gap, p)
     apart = 0
     if has.backlash:
         if x.velocity != x.motor_velocity and x.gap < 0.5 * p.backlash_gap and x.gap > -0.5 * p.backlash_gap:
@@ -199,9 +199,19 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
         if touched != m.flank:
             m.flank = touched
             m.crossings = m.crossings + 1.0
-    x.position = x.position + g.observer_position * error
-    x.velocity = x.velocity + g.observer_velocity * error
-    if apart == 0:
+    if has.motor_sensor:
+        # Nobody sees the link while it flies through the gap.
+        if apart == 0:
+            x.position = x.position + g.observer_position * error
+            x.velocity = x.velocity + g.observer_velocity * error
+    else:
+        x.position = x.position + g.observer_position * error
+        x.velocity = x.velocity + g.observer_velocity * error
+    if has.motor_sensor:
+        x.motor_velocity = x.motor_velocity + g.observer_velocity * error
+        if apart != 0:
+            x.gap = clip(x.gap + g.observer_position * error, 0.5 * p.backlash_gap)
+    elif apart == 0:
         x.motor_velocity = x.motor_velocity + g.observer_velocity * error
     else:
         x.gap = clip(x.gap - g.observer_position * error, 0.5 * p.backlash_gap)
@@ -323,7 +333,7 @@ def follow(time, place, pace, rise, z, plant, kp, longest, x, y, m, q, p, g, k, 
     for i in range(len(time)):
         position[i] = z[0]
         command[i] = ahead
-        measured = z[0] + sensor(z[0], plant)
+        measured = z[0] + sensor(z[0], z[2], plant)
         ahead = sample(x, y, m, q, p, g, k, place[i], pace[i], rise[i], measured)
         for half in range(2):
             span = part

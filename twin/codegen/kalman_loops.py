@@ -67,16 +67,23 @@ def spreading(c, h, damping, density, share, touching):
     c[9] = f * f * c[9]
 
 
-def correcting(c, speed, seen, gain):
+def correcting(c, speed, of_motor, seen, gain):
     """Fill `gain` (4,) for the link's and the motor's position and velocity; the variance of what the sensor, which is
-    the link's, will read. The covariance learns from it if it is `seen`.
+    the link's or the motor's, will read. The covariance learns from it if it is `seen`.
     """
     first = 1 if speed else 0
-    gain[0] = c[first]
-    gain[1] = c[first + 1]
-    gain[2] = c[6 + 2 * first]
-    gain[3] = c[7 + 2 * first]
-    spread = gain[first] + 1.0
+    if of_motor:
+        gain[0] = c[6 + first]
+        gain[1] = c[8 + first]
+        gain[2] = c[3 + first]
+        gain[3] = c[4 + first]
+        spread = gain[2 + first] + 1.0
+    else:
+        gain[0] = c[first]
+        gain[1] = c[first + 1]
+        gain[2] = c[6 + 2 * first]
+        gain[3] = c[7 + 2 * first]
+        spread = gain[first] + 1.0
     if seen:
         for i in range(2):
             c[3 * i] -= gain[2 * i] * gain[2 * i] / spread
@@ -110,6 +117,9 @@ def predict(time, command, measured, noise, speed, closed, law, x, p, k, longest
     if has.backlash:
         half = 0.5 * p.backlash_gap
         share = p.motor_share
+    of_motor = False
+    if has.motor_sensor:
+        of_motor = True
     edge = 0
     delay = 0.0
     if has.input_delay:
@@ -117,7 +127,11 @@ def predict(time, command, measured, noise, speed, closed, law, x, p, k, longest
     # An edge within rounding of a stamp is on it: a piece of 1e-16 s would only upset what sticks.
     rounding = 1e-6 * longest
     for i in range(count):
-        reading = x.velocity if speed else x.position + sensor(x.position, p)
+        reading = x.position + sensor(x.position, x.gap, p)
+        if speed:
+            reading = x.velocity
+            if has.motor_sensor:
+                reading = x.motor_velocity
         predicted[i] = reading
         if len(states) > 0:
             for s in range(states.shape[1]):
@@ -145,7 +159,7 @@ def predict(time, command, measured, noise, speed, closed, law, x, p, k, longest
                     x.position = x.position + error
                 error = 0.0
                 believing(noise, time[i], c)
-            spread[i] = correcting(c, speed, seen, gain)
+            spread[i] = correcting(c, speed, of_motor, seen, gain)
             if len(pull) > 0:
                 pull[i] = (1.0 - share) * gain[1] + share * gain[3]
             if seen:
@@ -231,6 +245,9 @@ def predict_t(
         half = 0.5 * p.backlash_gap
         d_half = 0.5 * row(pd, index.backlash_gap)
         share = p.motor_share
+    of_motor = False
+    if has.motor_sensor:
+        of_motor = True
     edge = 0
     delay = 0.0
     rounding = 1e-6 * longest
@@ -239,12 +256,15 @@ def predict_t(
         delay = p.delay
         d_delay = row(pd, index.delay)
     for i in range(begin, begin + len(predicted)):
-        offset, d_offset = sensor_t(x.position, row(xd, 0), x, xd, p, pd, k)
+        offset, d_offset = sensor_t(x.position, row(xd, 0), x.gap, row(xd, 2), x, xd, p, pd, k)
         reading = x.position + offset
         d_reading = row(xd, 0) + d_offset
         if speed:
             reading = x.velocity
             d_reading = row(xd, 1)
+            if has.motor_sensor:
+                reading = x.motor_velocity
+                d_reading = row(xd, 3)
         predicted[i - begin] = reading
         put(slopes, (i - begin) * slopes.shape[1] + first, d_reading)
         if closed:
@@ -277,7 +297,7 @@ def predict_t(
                 error = 0.0
                 d_reading = zero()
                 believing(noise, time[i], c)
-            spread[i - begin] = correcting(c, speed, seen, gain)
+            spread[i - begin] = correcting(c, speed, of_motor, seen, gain)
             if seen:
                 c[10] = time[i]
                 x.position = x.position + gain[0] * error

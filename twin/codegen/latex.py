@@ -102,6 +102,7 @@ SYMBOLS: dict[str, str] = {
 _ARGUMENTS = {
     "position": "@",
     "velocity": r"\dot{@}",
+    "gap": r"\gamma",
     "time": "t",
     "command": "u",
     "emf": r"u_{\omega}",

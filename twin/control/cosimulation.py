@@ -116,7 +116,7 @@ class ModelPlant:
         self._sent: list[tuple[float, float]] = [(-1e9, 0.0)]
 
     def read(self) -> tuple[float, float]:
-        return self._x[0], self._x[0] + self._sensor(self._x[0], self._p)
+        return self._x[0], self._x[0] + self._sensor(self._x[0], self._x[2], self._p)
 
     def advance(self, time: float, command: float, period: float) -> None:
         self._sent.append((time + self._delay, command))

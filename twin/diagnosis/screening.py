@@ -143,6 +143,16 @@ def _page_trials(case: PreparedRecording, missing: MissingTorque, effect: str) -
     return _rows_followed(missing, effect, rows) if screen.local else rows
 
 
+def _joint_frequencies(step: float, end: float) -> list[float]:
+    """Frequencies, Hz, from the lowest that a recording holds three periods of to a tenth of the sample rate: each is
+    1.4 times the one before it, for ringing is found from no further off.
+    """
+    lowest, highest = parameter_bounds.bounds_of("joint_frequency")
+    lowest, highest = max(1.05 * lowest, 3.0 / end), min(0.75 * highest, 0.1 / step)
+    count = max(math.ceil(math.log(max(highest / lowest, 1.0)) / math.log(1.4)), 1)
+    return [lowest * (highest / lowest) ** (i / count) for i in range(count + 1)]
+
+
 def trial_grids(
     problem: FitProblem, structure: Structure, values: Mapping[str, float]
 ) -> dict[str, list[dict[str, float]]]:
@@ -207,7 +217,7 @@ def trial_grids(
                 "backlash_gap": gap,
                 "friction_share": 0.7,
             }
-            for f in (3.0, 4.0, 5.3, 7.2, 10.0, 14.0, 20.0, 28.0)
+            for f in _joint_frequencies(missing.step, end)
             for share in (0.15, 0.3, 0.45)
             for gap in (0.015 * lever, 0.04 * lever)
         ]

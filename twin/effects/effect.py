@@ -28,7 +28,8 @@ SLOTS: Mapping[str, tuple[tuple[str, ...], str]] = {
     "rider": (("tug",), "torque on the link by what rides on it, drawn back with the acceleration `tug`; laws add up"),
     "grip": (("position", "velocity", "direction", "transmitted", "time"), "size of the dry friction; laws add up"),
     "mass": (("position", "time", "payload"), "inertia added to the link; laws add up"),
-    "sensor": (("position",), "what the sensor adds to the true position; laws add up"),
+    # The gap is motor position minus link position.
+    "sensor": (("position", "gap"), "what the sensor adds to the true position; laws add up"),
     "structure": ((), "acts through the stepper itself"),
 }
 

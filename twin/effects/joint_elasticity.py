@@ -16,7 +16,7 @@ EFFECT = Effect(
             "Hz",
             "frequency at which motor and link ring against each other",
             None,
-            0.5,
+            0.3,
             40.0,
             10.0,
         ),
@@ -33,6 +33,6 @@ EFFECT = Effect(
         "input_delay": "steps: look for ringing after the edge",
     },
     equation=r"\lambda = k\,\mathrm{dz}_{g}(\theta_m - \theta) + d\,(\dot\theta_m - \dot\theta)",
-    screen=Screen("joint_frequency", grid={"joint_frequency": (4.0, 10.0, 25.0)}),
+    screen=Screen("joint_frequency", grid={"joint_frequency": (0.5, 1.5, 4.0, 10.0, 25.0)}),
     includes=("backlash",),
 )

@@ -51,7 +51,8 @@ def first_structure(
     Returns
     -------
     Structure
-        The four base effects, those of the rig file, and the changes that were asked for.
+        The four base effects, those of the rig file, a sensor on the motor where it says so, and the changes that were
+        asked for.
 
     Raises
     ------
@@ -60,6 +61,8 @@ def first_structure(
     """
     rigs = [r.rig for r in as_list(recordings) if r.rig is not None]
     named = [_known_effect(e, f"{rigs[0].name} [structure]") for e in rigs[0].effects] if rigs else []
+    if any(r.location == "motor" for r in as_list(recordings)):
+        named.append("motor_sensor")
     return changed_structure(preparation.base_structure().with_(*named), include, exclude)
 
 

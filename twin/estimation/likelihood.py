@@ -54,13 +54,15 @@ def _initial_state(
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """The states at the start and their derivatives (states, n): it begins where its sensor reads what was read."""
     gap, (reading, velocity) = 0.5 * case.contact, case.start
-    begins = sensor.position(structure, values, reading)
-    x = kernel.start_state(begins, velocity, gap * values.get("backlash_gap", 0.0))
+    apart = gap * values.get("backlash_gap", 0.0)
+    begins = sensor.position(structure, values, reading, apart)
+    x = kernel.start_state(begins, velocity, apart)
     slope = np.zeros((len(STATES), len(free)))
     for name in set(sensor.parameters(structure)).intersection(free):
-        slope[0, free.index(name)] = sensor.slope(structure, values, reading, name)
+        slope[0, free.index(name)] = sensor.slope(structure, values, reading, name, apart)
     if "backlash_gap" in free:
         slope[2, free.index("backlash_gap")] = gap
+        slope[0, free.index("backlash_gap")] += gap * sensor.gap_slope(structure, values, reading, apart)
     return x, slope
 
 

@@ -26,7 +26,7 @@ from twin.model.fitted_model import Model, dumps
 from twin.model.stepper import KNOWN, STATES, Structure
 from twin.model.variables import ROUND, STATE_NAMES, Variable, delay_capacity, parameters_text, variables
 
-_NAMED_STATES = ("position", "velocity", "motor_velocity", "time")  # the plumbing starts these and shows them
+_NAMED_STATES = ("position", "velocity", "gap", "motor_velocity", "time")  # the plumbing starts and shows these
 _SOURCES = {2: ("fmi2.c",), 3: ("fmi3.c",)}
 _HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),

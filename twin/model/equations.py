@@ -67,7 +67,11 @@ def along(
     """
     law = trace(effect_id)
     given = [states.get(s.name, 0.0) for s in law.arguments]
-    found = _vectorised(effect_id)(*given, *(values[s.name.removeprefix("p.")] for s in law.parameters))
+    # What an effect brings along may have parameters that nothing acts on, and no value for them.
+    read = law.expression.free_symbols
+    found = _vectorised(effect_id)(
+        *given, *(values[s.name.removeprefix("p.")] if s in read else 0.0 for s in law.parameters)
+    )
     return np.broadcast_to(found, np.broadcast(*states.values()).shape).astype(np.float64)
 
 

@@ -24,19 +24,25 @@ def parameters(structure: Structure) -> tuple[str, ...]:
     return tuple(p.name for e in structure.effects if e.slot == "sensor" for p in e.parameters)
 
 
-def position(structure: Structure, values: Mapping[str, float], reading: float) -> float:
-    """The position at which the structure's sensor reads this, both in the axis' unit."""
+def position(structure: Structure, values: Mapping[str, float], reading: float, gap: float = 0.0) -> float:
+    """The link's position at which the structure's sensor reads this, with the motor `gap` ahead; in the axis' unit."""
     errors, found = _errors(structure), reading
     for _ in range(_LOOKS if errors else 0):
-        at = {"position": np.array([found])}
+        at = {"position": np.array([found]), "gap": np.array([gap])}
         before, found = found, reading - sum(float(equations.along(i, at, values)[0]) for i in errors)
         if abs(found - before) < _NEAR:
             break
     return found
 
 
-def slope(structure: Structure, values: Mapping[str, float], reading: float, name: str) -> float:
+def gap_slope(structure: Structure, values: Mapping[str, float], reading: float, gap: float) -> float:
+    """The derivative of that position with respect to the gap."""
+    one, other = (position(structure, values, reading, gap + s) for s in (_MOVED, -_MOVED))
+    return (one - other) / (2.0 * _MOVED)
+
+
+def slope(structure: Structure, values: Mapping[str, float], reading: float, name: str, gap: float = 0.0) -> float:
     """The derivative of that position with respect to one of the sensor's parameters."""
     step = _MOVED * max(abs(values[name]), 1.0)
-    one, other = (position(structure, {**values, name: values[name] + s}, reading) for s in (step, -step))
+    one, other = (position(structure, {**values, name: values[name] + s}, reading, gap) for s in (step, -step))
     return (one - other) / (2.0 * step)
