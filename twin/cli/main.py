@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from typing import NoReturn
 
-from twin.cli import control, cosim, diagnose, effects, export, identify, replay, run, track
+from twin.cli import control, cosim, diagnose, effects, export, identify, init, replay, run, track
 from twin.cli.command import Command
 from twin.cli.output import printable
 from twin.errors import BadInput
@@ -25,6 +25,7 @@ from twin.errors import BadInput
 #: Every command of the program, in the order of `twin --help`.
 COMMANDS: tuple[Command, ...] = (
     run.COMMAND,
+    init.COMMAND,
     identify.COMMAND,
     export.EXPORT,
     export.UPDATE,

@@ -393,8 +393,8 @@ _INPUT_NAMES = {
     "force": "N",
     "current": "A",
     "input": "%",
-    "command": "%",
     "u": "%",
+    "command": "%",  # the last: beside a drive it is the reference of a loop
 }
 _POSITION_NAMES = (
     "counts",

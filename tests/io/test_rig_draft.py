@@ -1,0 +1,66 @@
+"""A rig file written from a log loads that log, names the drive and not the reference, and says what is unsure."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from driven_axis import axis_position, axis_speed, duty_levels
+
+from twin.cli.main import main
+from twin.errors import BadInput
+from twin.io.recording import load, to_fit
+from twin.io.rig_draft import draft
+
+STEP, N = 0.002, 5000
+TIME = np.arange(N) * STEP
+DUTY = duty_levels(11, N, STEP)
+ANGLE = axis_position(DUTY, STEP)
+COUNTS = np.round(ANGLE * 4096 / (2 * np.pi))
+
+
+def write(folder: Path, columns: dict[str, np.ndarray]) -> Path:
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join(columns), *(",".join(f"{x:.10g}" for x in row) for row in rows)]
+    (folder / "log.csv").write_text("\n".join(lines))
+    return folder / "log.csv"
+
+
+@pytest.mark.parametrize(
+    ("columns", "holds"),
+    [
+        ({"t": TIME, "duty": DUTY, "counts": COUNTS}, ['column = "duty"', 'unit = "%"', "_per_revolution = 4096"]),
+        ({"millis": TIME * 1e3, "u": DUTY / 100, "pos_deg": np.rad2deg(ANGLE)}, ['"ms"', 'unit = "1"', 'unit = "deg"']),
+        ({"t_us": TIME * 1e6, "goal": ANGLE, "command": ANGLE, "pwm": np.round(DUTY * 2.55), "enc": -COUNTS},
+         ['"us"', 'column = "pwm"', "full_scale = 255", "scale = -1", "'goal' looks like a reference"]),
+        ({"t": TIME, "pwm": np.abs(np.round(DUTY * 2.55)), "dir": np.where(DUTY < 0, 0.0, 1.0), "counts": COUNTS},
+         ["[input.direction]", 'column = "dir"']),
+        ({"t": TIME, "duty": np.round(DUTY) % 256, "counts": axis_position(np.round(DUTY), STEP) * 1000 // 1},
+         ["signed_bits = 8"]),
+        ({"t": TIME, "motor_voltage": DUTY / 8, "rpm": np.round(axis_speed(DUTY, STEP) * 9.55)},
+         ['unit = "V"', 'unit = "rpm"']),
+        ({"t": TIME, "duty": DUTY, "counts": np.repeat(COUNTS[::20], 20)}, ["refresh = 0.04"]),
+    ],
+)  # fmt: skip
+def test_what_is_written_loads_the_log_and_may_be_fitted(
+    tmp_path: Path, columns: dict[str, np.ndarray], holds: list[str]
+) -> None:
+    log = write(tmp_path, columns)
+    assert main(["init", str(log), "--quiet"]) == 0
+    text = (tmp_path / "rig.toml").read_text(encoding="utf-8")
+    for part in holds:
+        assert part in text
+    (recording,), _ = load([log])
+    assert to_fit([recording]) == [recording]
+    assert np.median(np.diff(recording.time)) == pytest.approx(STEP)
+
+
+def test_a_rig_file_that_is_there_stays(tmp_path: Path) -> None:
+    log = write(tmp_path, {"t": TIME, "duty": DUTY, "counts": COUNTS})
+    (tmp_path / "rig.toml").write_text("# mine")
+    assert main(["init", str(log)]) == 2
+    assert (tmp_path / "rig.toml").read_text() == "# mine"
+
+
+def test_a_log_without_a_drive_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="no column looks like the input"):
+        draft(write(tmp_path, {"t": TIME, "goal": ANGLE, "counts": COUNTS}))
