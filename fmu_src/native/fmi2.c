@@ -2,10 +2,19 @@
 #include "fmi2Functions.h"
 #include "instance.h"
 
+/* The logger takes a format. The sentence becomes one that holds no conversion, so that it is right for importers that
+ * print formats and readable in those that show them as they are: "%s" alone would tell these nothing. */
 static void tell(const Instance *me, const char *sentence)
 {
+    char format[1024];
+    size_t n = 0;
+    for (; *sentence != '\0' && n + 2 < sizeof format; ++sentence) {
+        if (*sentence == '%') format[n++] = '%';
+        format[n++] = *sentence;
+    }
+    format[n] = '\0';
     if (me->logger != NULL)
-        ((fmi2CallbackLogger)me->logger)(me->environment, me->name, fmi2Error, "logStatusError", sentence);
+        ((fmi2CallbackLogger)me->logger)(me->environment, me->name, fmi2Error, "logStatusError", format);
 }
 
 static fmi2Status status(int good) { return good ? fmi2OK : fmi2Error; }
@@ -124,8 +133,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                                         const fmi2ValueReference knowns[], size_t m, const fmi2Real seed[],
                                         fmi2Real out[])
 {
-    (void)unknowns, (void)n, (void)knowns, (void)m, (void)seed, (void)out;
-    return missing(c, "fmi2GetDirectionalDerivative");
+    return status(slopes(c, unknowns, n, knowns, m, seed, out));
 }
 
 /* ---- co-simulation ---- */
@@ -191,13 +199,13 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c)
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
 {
-    int changed, timed;
+    int timed;
     double next;
-    int good = update(c, &changed, &timed, &next);
+    int good = update(c, &timed, &next);
     info->newDiscreteStatesNeeded = fmi2False;
     info->terminateSimulation = fmi2False;
     info->nominalsOfContinuousStatesChanged = fmi2False;
-    info->valuesOfContinuousStatesChanged = changed ? fmi2True : fmi2False;
+    info->valuesOfContinuousStatesChanged = fmi2True;
     info->nextEventTimeDefined = timed ? fmi2True : fmi2False;
     info->nextEventTime = next;
     return status(good);
@@ -205,8 +213,9 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
 
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean keeps, fmi2Boolean *event, fmi2Boolean *end_now)
 {
-    (void)c, (void)keeps;
-    *event = *end_now = fmi2False;
+    (void)keeps;
+    *event = step_completed(c) ? fmi2True : fmi2False;
+    *end_now = fmi2False;
     return fmi2OK;
 }
 

@@ -184,15 +184,21 @@ fmi3Status fmi3GetVariableDependencies(fmi3Instance c, fmi3ValueReference depend
     return missing(c, "fmi3GetVariableDependencies");
 }
 
-#define NO_DERIVATIVE(function)                                                                                        \
-    fmi3Status function(fmi3Instance c, const fmi3ValueReference unknowns[], size_t n, const fmi3ValueReference knowns[], \
-                        size_t m, const fmi3Float64 seed[], size_t seeds, fmi3Float64 out[], size_t outs)              \
-    {                                                                                                                  \
-        (void)unknowns, (void)n, (void)knowns, (void)m, (void)seed, (void)seeds, (void)out, (void)outs;                \
-        return missing(c, #function);                                                                                  \
-    }
-NO_DERIVATIVE(fmi3GetDirectionalDerivative)
-NO_DERIVATIVE(fmi3GetAdjointDerivative)
+fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t n,
+                                        const fmi3ValueReference knowns[], size_t m, const fmi3Float64 seed[],
+                                        size_t seeds, fmi3Float64 out[], size_t outs)
+{
+    if (seeds != m || outs != n) return status(refuse(c, "each variable has one value: give as many seeds and slopes"));
+    return status(slopes(c, unknowns, n, knowns, m, seed, out));
+}
+
+fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t n,
+                                    const fmi3ValueReference knowns[], size_t m, const fmi3Float64 seed[], size_t seeds,
+                                    fmi3Float64 out[], size_t outs)
+{
+    (void)unknowns, (void)n, (void)knowns, (void)m, (void)seed, (void)seeds, (void)out, (void)outs;
+    return missing(c, "fmi3GetAdjointDerivative");
+}
 
 fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Int32 orders[],
                                     fmi3Float64 value[], size_t m)
@@ -266,18 +272,19 @@ fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c)
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *end_now, fmi3Boolean *nominals,
                                     fmi3Boolean *values, fmi3Boolean *timed, fmi3Float64 *next)
 {
-    int changed, planned;
-    int good = update(c, &changed, &planned, next);
+    int planned;
+    int good = update(c, &planned, next);
     *again = *end_now = *nominals = fmi3False;
-    *values = changed != 0;
+    *values = fmi3True;
     *timed = planned != 0;
     return status(good);
 }
 
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean keeps, fmi3Boolean *event, fmi3Boolean *end_now)
 {
-    (void)c, (void)keeps;
-    *event = *end_now = fmi3False;
+    (void)keeps;
+    *event = step_completed(c) != 0;
+    *end_now = fmi3False;
     return fmi3OK;
 }
 

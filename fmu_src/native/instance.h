@@ -28,6 +28,7 @@ typedef struct {
     size_t slot; /* where its value stands in State.slot */
     double least, most;
     Settable settable;
+    int differentiable; /* whether derivatives with respect to it are known */
 } Variable;
 
 #include "model.h"
@@ -37,10 +38,17 @@ typedef enum { MADE, INITIALIZING, RUNNING, EVENTS, CONTINUOUS, ENDED } Mode;
 /* Everything that a saved state holds. */
 typedef struct {
     double slot[SLOTS];
+#if DERIVATIVES
+    double last[SLOTS]; /* as the last communication step found it */
+    double span; /* of that step; 0 before the first */
+#endif
     double begin, now; /* the importer's time at the start, and now */
     Mode mode;
     int exchange; /* instantiated for model exchange */
     int stale; /* a value was set since the last refresh */
+#if EXCHANGE
+    double settled; /* the command under which modes were chosen */
+#endif
 } State;
 
 typedef struct {
@@ -70,7 +78,12 @@ static int refuse(const Instance *me, const char *format, ...)
 
 /* Defined by MOTION. */
 #if EXCHANGE
-static int settle_modes(State *s); /* modes as the values ask for; 1 where one changed */
+static void settle_modes(State *s); /* modes as the values ask for */
+static int is_unsettled(const State *s); /* whether motion or command contradict the modes */
+#endif
+#if DERIVATIVES
+/* From the slopes of what is known, in `d` by slot, to those of all that follows from it. */
+static int differentiate(Instance *me, double *d);
 #endif
 static void refresh(State *s); /* bring up to date what follows from other values */
 static int move(Instance *me, double span); /* go on by a span under the inputs as they are */
@@ -186,20 +199,20 @@ static int read_line(Instance *me, char *line)
     return refuse(me, "resources/parameters.txt: %.80s is not a parameter of this model", line);
 }
 
+/* The values of the last update stand in the resources only: without them an old axis would run in silence. */
 static int load_start_values(Instance *me, const char *resources)
 {
     char path[4096], line[256];
-    if (resources == NULL || resources[0] == '\0') return 1;
+    if (resources == NULL || resources[0] == '\0')
+        return refuse(me, "the importer gave no resource location, where the start values are: give the folder resources");
     if (!path_from_uri(resources, path, sizeof path - sizeof "/parameters.txt"))
         return refuse(me, "the path of the resources is longer than %u characters: unpack elsewhere", (unsigned)sizeof path);
     size_t n = strlen(path);
     if (n > 0 && path[n - 1] != '/' && path[n - 1] != '\\') strcat(path, "/");
     strcat(path, "parameters.txt");
     FILE *file = open_for_reading(path);
-    if (file == NULL) {
-        refuse(me, "resources/parameters.txt cannot be read: the values that were compiled in are used");
-        return 1;
-    }
+    if (file == NULL)
+        return refuse(me, "the start values in %.400s cannot be read: unpack the whole FMU", path);
     int good = 1;
     while (good && fgets(line, sizeof line, file) != NULL)
         if (line[0] != '#' && line[strspn(line, " \r\n")] != '\0') good = read_line(me, line);
@@ -282,11 +295,16 @@ static int communicate(Instance *me, double from, double span)
     if (s->mode != RUNNING) return refuse(me, "a step was asked for before the end of initialization or after the end");
     if (!isfinite(from) || !isfinite(span)) return refuse(me, "the time or the length of a step is not a finite number");
     if (span < 0.0) return refuse(me, "a step of %.9g s goes back in time: steps are positive", span);
-    double slack = 1e-9 * fmax(1.0, fabs(s->now));
+    /* Importers round their clock, some to single precision: a hundredth of the step is no gap. */
+    double slack = 1e-9 * fmax(1.0, fabs(s->now)) + 0.01 * span;
     if (from < s->now - slack)
         return refuse(me, "time goes back from %.9g s to %.9g s: restore a saved state or reset", s->now, from);
     if (from > s->now + slack)
         return refuse(me, "time jumps from %.9g s to %.9g s: a step starts where the last one ended", s->now, from);
+#if DERIVATIVES
+    memcpy(s->last, s->slot, sizeof s->last);
+    s->span = span;
+#endif
     if (span > 0.0 && !move(me, span)) return 0;
     s->now = from + span;
     refresh(s);
@@ -332,20 +350,24 @@ static int set_continuous(Instance *me, const double *values, size_t n)
 static int get_nominals(Instance *me, double *values, size_t n)
 {
     if (n != CONTINUOUS_STATES) return refuse(me, "there are %u continuous states", (unsigned)CONTINUOUS_STATES);
-    for (size_t i = 0; i < n; ++i) values[i] = 1.0;
+    memcpy(values, nominal, n * sizeof *values);
     return 1;
 }
 
-/* The end of an event: 1 in `changed` where states jumped; the next event that is known by its time. */
-static int update(Instance *me, int *changed, int *timed, double *next)
+/* The end of an event: the next one that is known by its time.
+ *
+ * Importers are told each time that states have changed: many restart their solver for nothing less, and one that goes
+ * on with rates of the mode before is wrong.
+ */
+static int update(Instance *me, int *timed, double *next)
 {
     State *s = &me->state;
-    *changed = *timed = 0;
+    *timed = 0;
     *next = 0.0;
     if (!s->exchange || s->mode != EVENTS) return refuse(me, "discrete states were updated outside the event mode");
 #if EXCHANGE
     refresh(s);
-    *changed = settle_modes(s);
+    settle_modes(s);
     s->stale = 1;
 #if TIMED
     *next = s->begin + s->slot[EVENT_TIME];
@@ -353,6 +375,52 @@ static int update(Instance *me, int *changed, int *timed, double *next)
 #endif
 #endif
     return 1;
+}
+
+/* Whether an event is asked for after a step of the solver.
+ *
+ * Not all of them look for a change of sign, and some go on through a new command with what the old one told them.
+ */
+static int step_completed(Instance *me)
+{
+#if EXCHANGE
+    State *s = &me->state;
+    if (s->stale) refresh(s);
+    return is_unsettled(s);
+#else
+    (void)me;
+    return 0;
+#endif
+}
+
+/* ---- derivatives ---- */
+
+/* The slopes of `n` unknowns along a direction: `m` knowns and how fast each changes.
+ *
+ * Under an outside solver unknowns are functions of states, input and parameters at this moment. In co-simulation they
+ * are functions of what the last communication step began with: states then, the input held during it, parameters.
+ */
+static int slopes(Instance *me, const unsigned *unknowns, size_t n, const unsigned *knowns, size_t m, const double *seed,
+                  double *out)
+{
+#if DERIVATIVES
+    double d[SLOTS] = {0.0};
+    for (size_t i = 0; i < m; ++i) {
+        if (knowns[i] >= VARIABLES) return refuse(me, "no variable has the value reference %u", knowns[i]);
+        const Variable *v = &variables[knowns[i]];
+        if (!v->differentiable) return refuse(me, "derivatives with respect to %s are not known", v->name);
+        d[v->slot] += seed[i];
+    }
+    for (size_t i = 0; i < n; ++i)
+        if (unknowns[i] >= VARIABLES) return refuse(me, "no variable has the value reference %u", unknowns[i]);
+    if (me->state.stale) refresh(&me->state);
+    if (!differentiate(me, d)) return 0;
+    for (size_t i = 0; i < n; ++i) out[i] = d[variables[unknowns[i]].slot];
+    return 1;
+#else
+    (void)unknowns, (void)n, (void)knowns, (void)m, (void)seed, (void)out;
+    return refuse(me, "directional derivatives are not offered by this FMU");
+#endif
 }
 
 /* ---- saved states ---- */

@@ -19,6 +19,7 @@ static const fmi2CallbackFunctions callbacks = {hear, calloc, free, NULL, NULL};
 #define READY fmi2ExitInitializationMode
 #define SET(a, r, v) fmi2SetReal(a, &(fmi2ValueReference){r}, 1, &(double){v})
 #define GET(a, r, v) fmi2GetReal(a, &(fmi2ValueReference){r}, 1, v)
+#define SLOPE(a, of, by, to) fmi2GetDirectionalDerivative(a, &(unsigned){of}, 1, &(unsigned){by}, 1, &(double){1.0}, to)
 #define STEP(a, t, h) fmi2DoStep(a, t, h, 1)
 #define SAVE fmi2GetFMUstate
 #define RESTORE fmi2SetFMUstate
@@ -57,6 +58,8 @@ static void hear(void *e, fmi3Status s, fmi3String category, fmi3String message)
 #define GET(a, r, v) fmi3GetFloat64(a, &(fmi3ValueReference){r}, 1, v, 1)
 static fmi3Boolean event, finish, early;
 static double reached;
+#define SLOPE(a, of, by, to) \
+    fmi3GetDirectionalDerivative(a, &(unsigned){of}, 1, &(unsigned){by}, 1, &(double){1.0}, 1, to, 1)
 #define STEP(a, t, h) fmi3DoStep(a, t, h, 1, &event, &finish, &early, &reached)
 #define SAVE fmi3GetFMUState
 #define RESTORE fmi3SetFMUState
@@ -124,7 +127,9 @@ static void ask_for_what_is_not_offered(Axis a)
     BAD(fmi2SetInteger(a, &r, 1, &integer));
     BAD(fmi2SetBoolean(a, &r, 1, &flag));
     BAD(fmi2SetString(a, &r, 1, &text));
-    BAD(fmi2GetDirectionalDerivative(a, &r, 1, &r, 1, &real, &real));
+    fmi2ValueReference none = VARIABLES;
+    BAD(fmi2GetDirectionalDerivative(a, &r, 1, &none, 1, &real, &real));
+    BAD(fmi2GetDirectionalDerivative(a, &none, 1, &r, 1, &real, &real));
     BAD(fmi2CancelStep(a));
     BAD(fmi2SetRealInputDerivatives(a, &r, 1, &integer, &real));
     BAD(fmi2GetRealOutputDerivatives(a, &r, 1, &integer, &real));
@@ -182,7 +187,10 @@ static void ask_for_what_is_not_offered(Axis a)
     BAD(fmi3SetIntervalFraction(a, &r, 1, &counter, &counter));
     BAD(fmi3GetIntervalFraction(a, &r, 1, &counter, &counter, &qualifier));
     BAD(fmi3ActivateModelPartition(a, r, 0.0));
-    BAD(fmi3GetDirectionalDerivative(a, &r, 1, &r, 1, &real, 1, &real, 1));
+    fmi3ValueReference none = VARIABLES;
+    BAD(fmi3GetDirectionalDerivative(a, &r, 1, &none, 1, &real, 1, &real, 1));
+    BAD(fmi3GetDirectionalDerivative(a, &none, 1, &r, 1, &real, 1, &real, 1));
+    BAD(fmi3GetDirectionalDerivative(a, &r, 1, &r, 1, &real, 2, &real, 1));
     BAD(fmi3GetAdjointDerivative(a, &r, 1, &r, 1, &real, 1, &real, 1));
     BAD(fmi3GetOutputDerivatives(a, &r, 1, (fmi3Int32[]){1}, &real, 1));
     (void)fmi3GetNumberOfVariableDependencies(a, r, &size);
@@ -293,8 +301,8 @@ int main(int argc, char **argv)
     deep[sizeof deep - 1] = '\0';
     expect(NEW(TOKEN, deep) == NULL, "a path too long is refused");
     Axis a = NEW(TOKEN, "file:///no%2");
-    expect(a != NULL, "a lost resource folder is survived");
-    FREE(a);
+    expect(a == NULL, "a lost resource folder is refused: the values of the last update are there");
+    expect(NEW(TOKEN, NULL) == NULL && NEW(TOKEN, "") == NULL, "no resource folder is refused");
     a = NEW(TOKEN, argc > 1 ? argv[1] : NULL);
     if (a == NULL) return 2;
     unsigned before = taken;
@@ -362,6 +370,10 @@ int main(int argc, char **argv)
             kept.now = 0.0;
 #if DELAY_CAPACITY
             kept.slot[DELAY_COUNT] = DELAY_CAPACITY - trial % 3;
+            kept.last[DELAY_COUNT] = DELAY_CAPACITY - trial % 5;
+#endif
+#if DERIVATIVES
+            kept.span = 0.001 * (trial % 4);
 #endif
 #ifdef CONTROLLER_H
             for (size_t i = 0; i < sizeof fixed / sizeof *fixed; ++i) kept.slot[fixed[i]] = compiled_in[fixed[i]];
@@ -374,9 +386,19 @@ int main(int argc, char **argv)
         if (other != NULL && RESTORE(a, other) == 0) {
             (void)STEP(a, 0.0, 0.002);
             (void)GET(a, 3, &value);
+            (void)SLOPE(a, 1, 4, &value);
         }
         FORGET(a, &other);
     }
+#if DELAY_CAPACITY
+    State kept;
+    GOOD(PACK(a, saved, bytes, size));
+    memcpy(&kept, bytes + sizeof TOKEN, sizeof kept);
+    kept.slot[DELAY_COUNT] = 0.5;
+    memcpy(bytes + sizeof TOKEN, &kept, sizeof kept);
+    other = NULL;
+    BAD(UNPACK(a, bytes, size, &other));
+#endif
     free(bytes);
     GOOD(RESTORE(a, saved));
     t = from;

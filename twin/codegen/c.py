@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterable
 from functools import cache
 
 from twin.codegen.python import module
@@ -24,7 +25,25 @@ _OPERATORS = {
 }
 _FUNCTIONS = {"abs": "fabs", "min": "fmin", "max": "fmax", "int": "trunc"}
 #: Names that are arrays in the texts: states, memory and queue are written to, parameters and settings are read.
-_ARRAYS = {n: f"double *{n}" for n in ("x", "y", "m", "q")} | {n: f"const double *{n}" for n in ("p", "g", "k")}
+_ARRAYS = {n: f"double *{n}" for n in ("x", "y", "m", "q", "xd")}
+_ARRAYS |= {n: f"const double *{n}" for n in ("p", "g", "k", "pd")}
+#: Where a function gives a value and its derivative, it returns the first and writes the second here.
+_SLOPE = "slope_of_result_"
+
+
+def _name(name: str) -> str:
+    """A scalar's name in C: headers of systems define `far`, `small` and others as macros, but none that ends so."""
+    return name if name in _ARRAYS else f"{name}_"
+
+
+def _element(array: str, index: ast.expr) -> str:
+    """An element of an array; what the structure has no number for is read where it does not matter, as zero."""
+    match index:
+        case ast.Constant(int(place)) if place >= 0:
+            return f"{array}[{place}]"
+        case ast.Constant(int()) | ast.UnaryOp(ast.USub(), ast.Constant()):
+            return "0.0"
+    return f"{array}[(size_t){_expression(index)}]"
 
 
 def _expression(node: ast.expr) -> str:
@@ -32,11 +51,13 @@ def _expression(node: ast.expr) -> str:
         case ast.Constant(value):
             return repr(value)
         case ast.Name(name):
-            return name
-        case ast.Subscript(ast.Name(name), ast.Constant(int(index))):
-            return f"{name}[{index}]"
+            return _name(name)
+        case ast.Call(ast.Name("zero"), []):
+            return "0.0"
+        case ast.Call(ast.Name("row"), [ast.Name(name), index]):
+            return _element(name, index)
         case ast.Subscript(ast.Name(name), index):
-            return f"{name}[(size_t){_expression(index)}]"
+            return _element(name, index)
         case ast.UnaryOp(ast.USub(), operand):
             return f"(-{_expression(operand)})"
         case ast.BinOp(left, ast.Pow(), ast.Constant(2)):
@@ -62,10 +83,17 @@ def _expression(node: ast.expr) -> str:
 def _statement(node: ast.stmt, indent: str) -> list[str]:
     inner = indent + "    "
     match node:
+        case ast.Assign([ast.Tuple([value, ast.Name(slope)])], ast.Call(ast.Name(called), arguments)):
+            given = ", ".join([*map(_expression, arguments), f"&{_name(slope)}"])
+            return [f"{indent}{_expression(value)} = {called}({given});"]
         case ast.Assign([target], value):
             return [f"{indent}{_expression(target)} = {_expression(value)};"]
+        case ast.Expr(ast.Call(ast.Name("put"), [ast.Name(array), ast.Constant(int(index)), value])):
+            return [f"{indent}{array}[{index}] = {_expression(value)};"]
         case ast.Expr(value):
             return [f"{indent}{_expression(value)};"]
+        case ast.Return(ast.Tuple([value, slope])):
+            return [f"{indent}*{_SLOPE} = {_expression(slope)};", f"{indent}return {_expression(value)};"]
         case ast.Return(value) if value is not None:
             return [f"{indent}return {_expression(value)};"]
         case ast.Break():
@@ -78,7 +106,8 @@ def _statement(node: ast.stmt, indent: str) -> list[str]:
                 lines += [f"{indent}}} else {{", *_block(orelse, inner)]
             return [*lines, f"{indent}}}"]
         case ast.For(ast.Name(name), ast.Call(ast.Name("range"), [count]), body):
-            head = f"{indent}for (int {name} = 0; {name} < {_expression(count)}; ++{name}) {{"
+            i = _name(name)
+            head = f"{indent}for (int {i} = 0; {i} < {_expression(count)}; ++{i}) {{"
             return [head, *_block(body, inner), f"{indent}}}"]
     raise ValueError(f"no C for {ast.unparse(node)!r}")
 
@@ -100,13 +129,15 @@ def _function(function: ast.FunctionDef) -> str:
         for n in ast.walk(function)
         if isinstance(n, ast.Subscript) and isinstance(n.ctx, ast.Store) and isinstance(n.value, ast.Name)
     }
-    formals = ", ".join(f"double *{a}" if a in stored else _ARRAYS.get(a, f"double {a}") for a in arguments)
-    lines = [f"static double {function.name}({formals})", "{"]
+    formals = [f"double *{a}" if a in stored else _ARRAYS.get(a, f"double {_name(a)}") for a in arguments]
+    if any(isinstance(n, ast.Return) and isinstance(n.value, ast.Tuple) for n in ast.walk(function)):
+        formals.append(f"double *{_SLOPE}")
+    lines = [f"static double {function.name}({', '.join(formals)})", "{"]
     if local:
-        lines.append(f"    double {', '.join(sorted(local))};")
+        lines.append(f"    double {', '.join(map(_name, sorted(local)))};")
     names = [n for node in function.body for n in ast.walk(node) if isinstance(n, ast.Name)]
     read = {n.id for n in names if isinstance(n.ctx, ast.Load)}
-    lines += [f"    (void){a};" for a in [*arguments, *sorted(local)] if a not in read]
+    lines += [f"    (void){_name(a)};" for a in [*arguments, *sorted(local)] if a not in read]
     return "\n".join([*lines, *_block(function.body, "    "), "}"])
 
 
@@ -118,7 +149,12 @@ def functions(tree: ast.Module, *roots: str) -> str:
         more = {n.id for n in ast.walk(found[left.pop()]) if isinstance(n, ast.Name)} & found.keys() - called
         called |= more
         left += more
-    return "\n\n".join(_function(f) for f in found.values() if f.name in called) + "\n"
+    return text(f for f in found.values() if f.name in called)
+
+
+def text(functions: Iterable[ast.FunctionDef]) -> str:
+    """C text of functions in the stepper's language."""
+    return "\n\n".join(map(_function, functions)) + "\n"
 
 
 @cache

@@ -19,10 +19,10 @@ from twin.model.equations import argument, trace
 from twin.model.stepper import EVERYTHING
 
 _MATH = {"sqrt": sympy.sqrt, "exp": sympy.exp}
-_SHARED = ("x", "p", "k")
+SHARED = ("x", "p", "k")
 
 #: Arguments of laws that never depend on a parameter.
-_FIXED_ARGUMENTS = frozenset({"direction", "moment", "payload"})
+FIXED_ARGUMENTS = frozenset({"direction", "moment", "payload"})
 #: Parameters that are never fitted: the text has no column for them.
 NEVER = frozenset(p.name for p in EVERYTHING.parameters if not p.estimated)
 
@@ -69,7 +69,7 @@ def _sum(terms: Iterable[tuple[sympy.Expr, str]]) -> str:
     return text.removeprefix(" + ").strip() or "zero()"
 
 
-class _Function:
+class FunctionDerivative:
     """Writes the derivative of one stepper function."""
 
     def __init__(self, tree: ast.FunctionDef, formals: dict[str, tuple[str, ...]]) -> None:
@@ -123,11 +123,11 @@ class _Function:
     def _call(self, call: ast.Call) -> str:
         """The call with the derivatives of its arguments handed over."""
         assert isinstance(call.func, ast.Name)
-        given = [a for a in call.args if not (isinstance(a, ast.Name) and a.id in _SHARED)]
+        given = [a for a in call.args if not (isinstance(a, ast.Name) and a.id in SHARED)]
         texts = []
         for formal, actual in zip(self.formals[call.func.id], given, strict=True):
             texts.append(ast.unparse(actual))
-            if formal not in _FIXED_ARGUMENTS:
+            if formal not in FIXED_ARGUMENTS:
                 texts.append(self._derivative(actual))
         return f"{call.func.id}_t({', '.join([*texts, 'x, xd, p, pd, k'])})"
 
@@ -174,7 +174,7 @@ class _Function:
 
 
 def _head(name: str, formals: Iterable[str]) -> str:
-    pairs = [f"{a}, d_{a}" if a not in _FIXED_ARGUMENTS else a for a in formals]
+    pairs = [f"{a}, d_{a}" if a not in FIXED_ARGUMENTS else a for a in formals]
     return f"def {name}_t({', '.join([*pairs, 'x, xd, p, pd, k'])}):"
 
 
@@ -185,7 +185,7 @@ def _law(slot: str, ids: list[str], numbers: dict[str, int]) -> str:
     lines += ["    acts = command", "    d_acts = d_command"] if chain else ["    acts = 0.0", "    d_acts = zero()"]
     for effect in ids:
         law = trace(effect)
-        active = [(argument(a), f"d_{a}") for a in SLOTS[slot][0] if a not in _FIXED_ARGUMENTS]
+        active = [(argument(a), f"d_{a}") for a in SLOTS[slot][0] if a not in FIXED_ARGUMENTS]
         fitted = (s for s in law.parameters if s.name[2:] not in NEVER)
         active += [(s, f"row(pd, {numbers[s.name[2:]]})") for s in fitted]
         partials = [sympy.diff(law.expression, s) for s, _ in active]
@@ -213,7 +213,7 @@ def write(numbers: Numbering) -> str:
     functions = [
         f for f in module(EVERYTHING, numbers=numbers).body if isinstance(f, ast.FunctionDef) and f.name not in laws
     ]
-    formals = {f.name: tuple(a.arg for a in f.args.args if a.arg not in _SHARED) for f in functions}
+    formals = {f.name: tuple(a.arg for a in f.args.args if a.arg not in SHARED) for f in functions}
     formals |= {slot: SLOTS[slot][0] for slot in laws}
     texts = [ast.unparse(resolve(_law(slot, ids, dict(numbers.parameters)), numbers)) for slot, ids in laws.items()]
-    return "\n\n\n".join(texts + [_Function(f, formals).write() for f in functions])
+    return "\n\n\n".join(texts + [FunctionDerivative(f, formals).write() for f in functions])

@@ -3,6 +3,9 @@
 In the stepper's language, with the stepper's laws. A body slides forwards (mode 1), backwards (-1) or is held
 (0); the solver finds the zeros of the margins, and `settle` then chooses anew. Rigid contact and dead time are
 not expressed here: structures that have them are for co-simulation only.
+
+The margins have a hysteresis, as event indicators need it: each is `HYSTERESIS` above zero at the moment at which the
+mode may change, so that it is never zero when a mode begins, and its sign changes whatever the motion does next.
 """
 
 # mypy: ignore-errors
@@ -14,9 +17,10 @@ import ast
 import inspect
 import textwrap
 from dataclasses import replace
+from functools import cache
 
-from twin.codegen.c import _function
-from twin.codegen.python import numbering, resolve
+from twin.codegen import c, directional_derivative
+from twin.codegen.python import Numbering, numbering, resolve
 from twin.model.stepper import STATES, Structure
 
 #: What stands behind the states: their rates, the modes, the margins whose zeros are events, and torques.
@@ -67,23 +71,26 @@ def left_over(torque, forward, reverse, mode):
 
 
 def margin(torque, forward, reverse, mode, velocity):
-    """How far a body is from leaving its mode."""
-    far = mode * velocity
+    """How far a body is within its mode: a velocity, or the torque that friction can still hold over what it holds.
+
+    Below zero the mode contradicts the motion. The hysteresis of 1e-9 is far above the rounding of a solver, which
+    stops a little before or behind the zero, and far below what can be measured.
+    """
+    within = mode * velocity
     if mode == 0.0:
-        far = forward - torque
-        if reverse + torque < far:
-            far = reverse + torque
-    return far
+        within = forward - torque
+        if reverse + torque < within:
+            within = reverse + torque
+        within = within / (1.0 + forward + reverse)
+    return within + 1e-9
 
 
 def chosen(torque, forward, reverse):
     """The mode of a body at rest."""
-    # A solver stops a rounding before the balance. A body that is left at rest there has a margin that begins at zero,
-    # and that it changes its sign then no solver sees.
     mode = 0.0
-    if torque > 0.999999999 * forward:
+    if torque > forward:
         mode = 1.0
-    elif torque < -0.999999999 * reverse:
+    elif torque < -reverse:
         mode = -1.0
     return mode
 
@@ -124,7 +131,8 @@ def rates(x, p, k, command):
         wound = tension(x.gap, speed_m - x.velocity, side, half, stiffness, damping)
     mass_l = 1.0 - mass_m
     if has.mass:
-        mass_l = mass_l + mass(x.position, x.time, k.payload, p)
+        added = mass(x.position, x.time, k.payload, p)
+        mass_l = mass_l + added
 
     emf = 0.0
     if has.supply_sag:
@@ -147,10 +155,13 @@ def rates(x, p, k, command):
     if has.load:
         pull = load(x.position, x.velocity, x.time, k.moment, p)
     if has.shaft:
-        torque = torque + turned * shaft(x.position + x.gap, p)
-        pull = pull + (1.0 - turned) * shaft(x.position, p)
+        turn_m = shaft(x.position + x.gap, p)
+        turn_l = shaft(x.position, p)
+        torque = torque + turned * turn_m
+        pull = pull + (1.0 - turned) * turn_l
     if has.bristle:
-        torque = torque + bristle(x.bend, p)
+        held = bristle(x.bend, p)
+        torque = torque + held
         way = speed_m
         if way < 0.0:
             way = -way
@@ -167,8 +178,8 @@ def rates(x, p, k, command):
             through = wound
         else:
             # Where nothing tells motor and link apart each is half of the axis.
-            resist = 0.5 * drag(x.position, x.velocity, p)
-            through = ((torque + resist) * (mass_l - 0.5) - 0.5 * (pull + resist)) / mass_l
+            resist = drag(x.position, x.velocity, p)
+            through = ((torque + 0.5 * resist) * (mass_l - 0.5) - 0.5 * (pull + 0.5 * resist)) / mass_l
         forward = grip(x.position, x.velocity, 1.0, through, x.time, p)
         reverse = grip(x.position, x.velocity, -1.0, through, x.time, p)
         if forward < 0.0:
@@ -179,9 +190,11 @@ def rates(x, p, k, command):
     x.reverse_motor = dry * reverse
     x.forward_link = forward - x.forward_motor
     x.reverse_link = reverse - x.reverse_motor
-    x.push_link = pull + (1.0 - share) * drag(x.position, x.velocity, p) + wound
+    resist_l = drag(x.position, x.velocity, p)
+    x.push_link = pull + (1.0 - share) * resist_l + wound
     if has.backlash:
-        x.push_motor = torque + share * drag(x.position, speed_m, p) - wound
+        resist_m = drag(x.position, speed_m, p)
+        x.push_motor = torque + share * resist_m - wound
     else:
         x.push_link = x.push_link + torque
     left_m = x.push_motor
@@ -189,8 +202,10 @@ def rates(x, p, k, command):
     if has.grip:
         left_m = left_over(x.push_motor, x.forward_motor, x.reverse_motor, x.mode_motor)
         left_l = left_over(x.push_link, x.forward_link, x.reverse_link, x.mode_link)
-        x.margin_motor = margin(x.push_motor, x.forward_motor, x.reverse_motor, x.mode_motor, speed_m)
-        x.margin_link = margin(x.push_link, x.forward_link, x.reverse_link, x.mode_link, x.velocity)
+        within_m = margin(x.push_motor, x.forward_motor, x.reverse_motor, x.mode_motor, speed_m)
+        within_l = margin(x.push_link, x.forward_link, x.reverse_link, x.mode_link, x.velocity)
+        x.margin_motor = within_m
+        x.margin_link = within_l
     x.rate_position = x.velocity
     x.rate_velocity = left_l / mass_l
     x.rate_ride = x.ride_velocity
@@ -198,8 +213,9 @@ def rates(x, p, k, command):
     if has.backlash:
         x.rate_gap = speed_m - x.velocity
         x.rate_motor_velocity = left_m / mass_m
-        x.margin_upper = x.gap - half
-        x.margin_lower = x.gap + half
+        # Of the size of one, as the others are: a gap is some hundredths of a radian.
+        x.margin_upper = 100.0 * (x.gap - half)
+        x.margin_lower = 100.0 * (x.gap + half)
     return 0.0
 
 
@@ -236,10 +252,42 @@ def settle(x, p, k, command):
     return changed
 
 
-def write(structure: Structure) -> str:
-    """C text beside the stepper's: `rates` and `settle`, both `double (double *x, p, k, double command)`."""
-    numbers = replace(numbering(structure, False), states={n: i for i, n in enumerate((*STATES, *BEHIND))})
+#: They are asked for now and then: compiled for speed and into one another they take a minute.
+_SELDOM = """#if defined __GNUC__
+#define SELDOM __attribute__((cold, noinline))
+#else
+#define SELDOM
+#endif
+
+"""
+
+
+def _numbering(structure: Structure) -> Numbering:
+    """The stepper's numbers, with what stands behind its states."""
+    return replace(numbering(structure, False), states={n: i for i, n in enumerate((*STATES, *BEHIND))})
+
+
+def _functions(structure: Structure) -> list[ast.FunctionDef]:
+    """`rates`, `settle` and what they call, of a structure."""
     sticks = (left_over, margin, chosen) if "grip" in structure.slots else ()
     text = "\n".join(textwrap.dedent(inspect.getsource(f)) for f in (*sticks, rates, settle))
-    functions = [f for f in resolve(text, numbers).body if isinstance(f, ast.FunctionDef)]
-    return "\n\n".join(_function(f) for f in functions) + "\n"
+    return [f for f in resolve(text, _numbering(structure)).body if isinstance(f, ast.FunctionDef)]
+
+
+def write(structure: Structure) -> str:
+    """C text beside the stepper's: `rates` and `settle`, both `double (double *x, p, k, double command)`."""
+    return c.text(_functions(structure))
+
+
+@cache
+def write_derivatives(structure: Structure) -> str:
+    """C text of the exact derivatives, one direction at a time.
+
+    `step_t` and `sensor_t`, and `rates_t` where an outside solver is offered: beside each value stands its slope, `xd`
+    and `pd` hold those of states and parameters, and the last argument takes that of the result.
+    """
+    solved = offered(structure)
+    more = [f for f in _functions(structure) if f.name not in ("settle", "chosen")] if solved else []
+    tree = directional_derivative.write(structure, _numbering(structure), more)
+    text = c.functions(tree, "step_t", "sensor_t", *(("rates_t",) if solved else ()))
+    return _SELDOM + text.replace("static double", "SELDOM static double")

@@ -132,6 +132,7 @@ def _header(controller: Controller, token: str) -> str:
         "MEMORY": memory,
         **{name.upper(): control_law.MEMORY.index(name) for name in ("started", "nominal", "disturbance")},
         "EXCHANGE": 0,
+        "DERIVATIVES": 0,
         "CONTINUOUS_STATES": 0,
         "INDICATORS": 0,
         "CLOCK_REFERENCE": len(shown),
@@ -140,6 +141,7 @@ def _header(controller: Controller, token: str) -> str:
     fixed = ", ".join(str(slots[name]) for name in FIXED)
     text = [
         *(f"static const size_t {name}[] = {{0}};" for name in ("continuous", "derivative", "indicator")),
+        "static const double nominal[] = {1.0};",
         f"static const size_t fixed[] = {{{fixed}}};",
         "",
         control_law.write_c(controller.structure, queue),

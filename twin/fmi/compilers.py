@@ -63,7 +63,8 @@ class Compiler:
             lines = done.stderr.strip().splitlines() or ["no message"]
             reason = next((line for line in lines if "error" in line), lines[0])
             compiler = "zig" if "ziglang" in self.command else self.command[0]
-            raise BadInput(f"the C compiler {compiler} failed ({reason}): can it build a shared library?")
+            where = f"{self.target.system} on {self.target.machine}"
+            raise BadInput(f"the C compiler {compiler} failed for {where} ({reason}): can it build a shared library?")
         return (folder / place).read_bytes()
 
 

@@ -63,10 +63,11 @@ class Margin:
 
 @dataclass(frozen=True)
 class Solver:
-    """What model exchange shows; without derivatives it is not offered."""
+    """What an outside solver is given: model exchange only with derivatives, and whether slopes can be asked for."""
 
     derivatives: tuple[Derivative, ...]
     margins: tuple[Margin, ...]
+    directional_derivatives: bool = False
 
 
 NO_SOLVER = Solver((), ())
@@ -156,6 +157,8 @@ def fmi2(identity: Identity, shown: Sequence[Variable], sources: tuple[str, ...]
         "canGetAndSetFMUstate": "true",
         "canSerializeFMUstate": "true",
     }
+    if solver.directional_derivatives:
+        can["providesDirectionalDerivative"] = "true"
     kinds = [ET.SubElement(root, "ModelExchange", can)] if solver.derivatives else []
     kinds.append(ET.SubElement(root, "CoSimulation", can | {"canHandleVariableCommunicationStepSize": "true"}))
     for kind in kinds:
@@ -196,6 +199,8 @@ def fmi3(identity: Identity, shown: Sequence[Variable], solver: Solver) -> bytes
     """modelDescription.xml of FMI 3.0: co-simulation, and model exchange where there are derivatives."""
     root = _root(identity, "3.0", "instantiationToken")
     can = {"modelIdentifier": identity.identifier, "canGetAndSetFMUState": "true", "canSerializeFMUState": "true"}
+    if solver.directional_derivatives:
+        can["providesDirectionalDerivatives"] = "true"
     if solver.derivatives:
         ET.SubElement(root, "ModelExchange", can)
     ET.SubElement(root, "CoSimulation", can | {"canHandleVariableCommunicationStepSize": "true"})

@@ -20,13 +20,14 @@ from twin.codegen import c, model_exchange
 from twin.errors import BadInput
 from twin.fmi import model_description
 from twin.fmi.compilers import compilers, universal
-from twin.fmi.model_description import NO_SOLVER, Derivative, Identity, Margin, Solver
+from twin.fmi.model_description import Derivative, Identity, Margin, Solver
 from twin.io.files import check_free, put, zipped
 from twin.model.fitted_model import Model, dumps
 from twin.model.stepper import KNOWN, STATES, Structure
 from twin.model.variables import ROUND, STATE_NAMES, Variable, delay_capacity, parameters_text, variables
 
-_NAMED_STATES = ("position", "velocity", "gap", "motor_velocity", "time")  # the plumbing starts and shows these
+#: States that the plumbing starts and shows, and margins that it looks at.
+_NAMED_STATES = ("position", "velocity", "gap", "motor_velocity", "time", "margin_motor", "margin_link")
 _SOURCES = {2: ("fmi2.c",), 3: ("fmi3.c",)}
 _HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
@@ -72,9 +73,9 @@ def offers(structure: Structure) -> str:
 
 
 def solver(model: Model) -> Solver:
-    """What model exchange adds behind the variables; nothing where it is not offered."""
+    """What model exchange adds behind the variables, nothing where it is not offered; slopes are there always."""
     if not model_exchange.offered(model.structure):
-        return NO_SOLVER
+        return Solver((), (), directional_derivatives=True)
     shown = {v.name: v for v in variables(model)}
     states = [shown[name] for name in model_exchange.continuous(model.structure)]
     watched = model_exchange.margins(model.structure)
@@ -82,6 +83,7 @@ def solver(model: Model) -> Solver:
     return Solver(
         tuple(Derivative(state, len(shown) + i) for i, state in enumerate(states)),
         tuple(Margin(name, first + i) for i, name in enumerate(watched)),
+        directional_derivatives=True,
     )
 
 
@@ -92,23 +94,32 @@ def _solver_tables(model: Model) -> list[str]:
     rates = [f"rate_{name}" for name in states]
     lists = {"continuous": states, "derivative": rates, "indicator": [m.name for m in outside.margins]}
     # C has no empty arrays.
-    return [
+    tables = [
         f"static const size_t {name}[] = {{{', '.join(str(order.index(n)) for n in names) or '0'}}};"
         for name, names in lists.items()
     ]
+    nominal = ", ".join(repr(d.state.nominal or 1.0) for d in outside.derivatives)
+    return [*tables, f"static const double nominal[] = {{{nominal or '1.0'}}};"]
+
+
+def _differentiable(model: Model) -> set[str]:
+    """What derivatives can be taken with respect to: input, states, start values and parameters."""
+    names = {model.input_name, "position_start", "velocity_start", *STATE_NAMES} - {"time_since_start"}
+    return names | {p.name for p in model.structure.parameters}
 
 
 def _c_number(value: float | None, absent: str = "0.0") -> str:
     return absent if value is None or not math.isfinite(value) else repr(float(value))
 
 
-def row(v: Variable, slot: int) -> str:
+def row(v: Variable, slot: int, differentiable: bool = False) -> str:
     """A variable's row in the table of model.h."""
     settable = {"input": "ANY_TIME", "parameter": "BEFORE_START" if v.variability == "fixed" else "ANY_TIME"}
     # The bounds of the input are for the importer's information: a saturated command is no error.
     low, high = (None, None) if v.causality == "input" else (v.min, v.max)
     bounds = f"{_c_number(low, '-HUGE_VAL')}, {_c_number(high, 'HUGE_VAL')}"
-    return f'    {{"{v.name}", {slot}, {bounds}, {settable.get(v.causality, "NEVER")}}},'
+    when = settable.get(v.causality, "NEVER")
+    return f'    {{"{v.name}", {slot}, {bounds}, {when}, {int(differentiable)}}},'
 
 
 def header(model: Model, token: str) -> str:
@@ -125,6 +136,7 @@ def header(model: Model, token: str) -> str:
         "LONGEST_STEP": repr(model.longest_step),
         "ROUND": repr(ROUND),
         "EXCHANGE": int(bool(behind)),
+        "DERIVATIVES": 1,
         "CONTINUOUS_STATES": len(outside.derivatives),
         "INDICATORS": len(outside.margins),
         "TIMED": int("load_change" in model.structure),
@@ -137,7 +149,7 @@ def header(model: Model, token: str) -> str:
         "POSITION_START": slots["position_start"],
         "VELOCITY_START": slots["velocity_start"],
         "MEASURED": slots["position_measured"],
-        **{s.upper(): i for i, s in enumerate(STATES) if s in _NAMED_STATES},
+        **{s.upper(): i for i, s in enumerate((*STATES, *_behind(model))) if s in _NAMED_STATES},
         "DELAY_CAPACITY": delay_capacity(model),
     }
     if delay_capacity(model):
@@ -149,12 +161,14 @@ def header(model: Model, token: str) -> str:
             "DELAY_VALUE": slots["delay_value[1]"],
         }
     starts = {v.name: v.start for v in shown} | {k: float(model.known.get(k, 0.0)) for k in KNOWN}
+    differentiable = _differentiable(model)
     rows = [
-        *(row(v, slots[v.name]) for v in shown),
-        *(f'    {{"{name}", {slots[place]}, -HUGE_VAL, HUGE_VAL, NEVER}},' for name, place in behind),
+        *(row(v, slots[v.name], v.name in differentiable) for v in shown),
+        *(f'    {{"{name}", {slots[place]}, -HUGE_VAL, HUGE_VAL, NEVER, 0}},' for name, place in behind),
     ]
     text = [*_solver_tables(model), "", c.write(model.structure)]
     text += [model_exchange.write(model.structure)] if behind else []
+    text += [model_exchange.write_derivatives(model.structure)]
     return header_text(constants, rows, {name: starts.get(name) for name in slots}, text)
 
 
@@ -195,7 +209,8 @@ def token_of(digest: str) -> str:
 def identity(model: Model) -> Identity:
     """Name and token: the same for models that differ in parameter values only."""
     outside = model_exchange.write(model.structure) if model_exchange.offered(model.structure) else ""
-    digest = digest_of(f"{c.write(model.structure)}\n{outside}", variables(model), "axis.h")
+    slopes = model_exchange.write_derivatives(model.structure)
+    digest = digest_of(f"{c.write(model.structure)}\n{outside}\n{slopes}", variables(model), "axis.h")
     return model_description.of_axis(model, f"axis_{digest[:8]}", token_of(digest))
 
 

@@ -31,6 +31,10 @@ STATE_NAMES: tuple[str, ...] = tuple("time_since_start" if s == "time" else s fo
 
 OUTPUTS: tuple[str, ...] = ("position", "velocity", "position_measured")
 
+#: Sizes that are usual, by which solvers scale their tolerances: a gap and a ride are small against the travel. The lag
+#: is of the size of the command.
+_USUAL = {"gap": 0.01, "motor_velocity": 1.0, "heat": 1.0, "bend": 1.0, "ride": 0.01, "ride_velocity": 0.1}
+
 _BASE = {
     "1": (1.0, {}),
     "%": (0.01, {}),
@@ -146,7 +150,8 @@ def variables(model: Model) -> tuple[Variable, ...]:
     for name, (unit, meaning) in zip(STATE_NAMES, STATES.values(), strict=True):
         if name not in OUTPUTS:
             origin = ("velocity_start",) if name == "motor_velocity" else ()
-            add(name, local, unit, meaning, initially_from=origin)
+            usual = (full or 1.0) if name == "lag" else _USUAL.get(name)
+            add(name, local, unit, meaning, nominal=usual, initially_from=origin)
     capacity = delay_capacity(model)
     if capacity:
         add("acting_command", held, "{u}", "command that acts, after the dead time")

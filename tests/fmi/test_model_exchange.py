@@ -1,0 +1,171 @@
+"""Model exchange in hosts that follow the letter of the standard differently, on a recorded duty."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi2 import FMU2Model
+from native_axis import by_kernel, model_of
+
+from twin.effects.catalogue import BASE
+from twin.fmi import compilers
+from twin.fmi.native_fmu import export_native
+from twin.model.fitted_model import Model
+from twin.model.stepper import Structure
+
+RECORDED = Path(__file__).resolve().parents[2] / "models" / "shipped" / "recording.csv"
+SECONDS = 20.0
+PERIOD = 0.002
+#: A tenth of a degree is 1.7e-3 rad: an importer may not be further away than this.
+CLOSE = 1e-3
+STRUCTURES = {
+    # The duty reverses while the axis is about to break away.
+    "friction": Structure.of(("inertia", "viscous_friction", "coulomb_friction")),
+    # Two bodies, the second one pushed across a gap.
+    "teeth": Structure.of((*BASE, "tooth_compliance", "coulomb_friction", "gravity")),
+}
+
+
+def recorded_duty() -> np.ndarray:
+    """The first 20 s of the recording that ships with the project (N,), percent."""
+    with RECORDED.open() as file:
+        rows = list(csv.DictReader(file))
+    return np.array([float(row["duty"]) for row in rows[: round(SECONDS / PERIOD) + 1]])
+
+
+@pytest.fixture(scope="module")
+def duty() -> np.ndarray:
+    return recorded_duty()
+
+
+@pytest.fixture(scope="module", params=STRUCTURES)
+def axis(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Model, Path]:
+
+    model = model_of(STRUCTURES[request.param])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compilers, "has_zig", lambda: False)
+        return model, export_native(model, tmp_path_factory.mktemp("fmu") / f"{request.param}.fmu")
+
+
+def table(duty: np.ndarray, doubled: bool) -> np.ndarray:
+    """The duty as FMPy takes it: held between stamps where its edges are doubled rows, else a line between them."""
+    rows = [(0.0, duty[0])]
+    for i in range(1, len(duty)):
+        if doubled and duty[i] != duty[i - 1]:
+            rows.append((i * PERIOD, duty[i - 1]))
+        if not doubled or duty[i] != duty[i - 1]:
+            rows.append((i * PERIOD, duty[i]))
+    rows.append((len(duty) * PERIOD, duty[-1]))
+    return np.array(rows, dtype=[("time", float), ("duty", float)])
+
+
+def truth(model: Model, duty: np.ndarray, doubled: bool) -> np.ndarray:
+    """Positions of the kernel at the stamps; a line between stamps is finely cut into held pieces."""
+    parts = 1 if doubled else 16
+    fine = np.arange((len(duty) - 1) * parts + 1) / parts
+    held = duty[fine.astype(int)] if doubled else np.interp(fine + 0.5 / parts, np.arange(len(duty)), duty)
+    return by_kernel(model, held, 0.3, -1.0, PERIOD / parts)[::parts, 0]
+
+
+def largest_error(axis: tuple[Model, Path], duty: np.ndarray, doubled: bool, **options: object) -> float:
+    """Of FMPy's positions at the stamps, rad."""
+    model, fmu = axis
+    seconds = (len(duty) - 1) * PERIOD
+    run = fmpy.simulate_fmu(
+        str(fmu), fmi_type="ModelExchange", stop_time=seconds, input=table(duty, doubled), output=["position"],
+        start_values={"position_start": 0.3, "velocity_start": -1.0}, **options,
+    )  # fmt: skip
+    at = np.round(run["time"] / PERIOD).astype(int)
+    on = np.abs(run["time"] - at * PERIOD) < 1e-9
+    assert run["time"][-1] == pytest.approx(seconds) and on.sum() > seconds / 0.02
+    return float(np.max(np.abs(run["position"][on] - truth(model, duty, doubled)[at[on]])))
+
+
+def test_in_fmpy_with_cvode(axis: tuple[Model, Path], duty: np.ndarray) -> None:
+    error = largest_error(axis, duty, True, solver="CVode", output_interval=0.01, relative_tolerance=1e-6)
+    assert error < CLOSE
+
+
+def test_in_fmpy_with_a_table_without_doubled_rows(axis: tuple[Model, Path], duty: np.ndarray) -> None:
+    """FMPy's CVode evaluates rates with the input of its last step: of the first order, as its steps are short."""
+    coarse, fine = (
+        largest_error(axis, duty[:1501], False, solver="CVode", output_interval=PERIOD / parts) for parts in (1, 4)
+    )
+    assert fine < 0.4 * coarse and fine < 0.01
+
+
+def test_in_fmpy_with_euler(axis: tuple[Model, Path], duty: np.ndarray) -> None:
+    """Of the first order, too: no event is lost, and the distance is that of the method."""
+    coarse, fine = (
+        largest_error(axis, duty[:1001], True, solver="Euler", output_interval=h, step_size=h) for h in (4e-4, 1e-4)
+    )
+    assert fine < 0.6 * coarse and fine < 0.01
+
+
+def fixed_step(fmu: Path, folder: Path, duty: np.ndarray, parts: int) -> np.ndarray:
+    """Positions at the stamps by a fixed-step master of the second order that takes the FMU at its word.
+
+    It keeps the states itself and reads them again only where it is told that they have changed; it enters an event
+    where an indicator changes its sign or the end of a step asks for one, and sets the input at the stamps without any.
+    """
+    described = fmpy.read_model_description(str(fmu))
+    fmpy.extract(str(fmu), str(folder))
+    axis = FMU2Model(
+        guid=described.guid, unzipDirectory=str(folder), modelIdentifier=described.modelExchange.modelIdentifier,
+        instanceName="axis",
+    )  # fmt: skip
+    reference = {v.name: v.valueReference for v in described.modelVariables}
+    axis.instantiate()
+    axis.setupExperiment(startTime=0.0)
+    axis.setReal([reference["position_start"], reference["velocity_start"]], [0.3, -1.0])
+    axis.enterInitializationMode()
+    axis.exitInitializationMode()
+    states, marks = described.numberOfContinuousStates, described.numberOfEventIndicators
+    x, rate, sign = ((fmpy.fmi2.fmi2Real * n)() for n in (states, states, marks))
+
+    def settle() -> None:
+        changed = axis.newDiscreteStates()[3]
+        axis.enterContinuousTimeMode()
+        if changed:
+            axis.getContinuousStates(x, states)
+
+    settle()
+    h, before, positions = PERIOD / parts, np.zeros(marks), [0.3]
+    for i in range((len(duty) - 1) * parts):
+        if i % parts == 0:
+            axis.setReal([reference["duty"]], [duty[i // parts]])
+        begun = np.array(x)
+        axis.getDerivatives(rate, states)
+        first = np.array(rate)
+        x[:] = begun + h * first
+        axis.setTime((i + 1) * h)
+        axis.setContinuousStates(x, states)
+        axis.getDerivatives(rate, states)
+        x[:] = begun + 0.5 * h * (first + np.array(rate))
+        axis.setContinuousStates(x, states)
+        asked, _ = axis.completedIntegratorStep()
+        axis.getEventIndicators(sign, marks)
+        if asked or np.any(np.sign(sign) * np.sign(before) < 0.0):
+            axis.enterEventMode()
+            settle()
+            axis.getEventIndicators(sign, marks)
+        before = np.array(sign)
+        if (i + 1) % parts == 0:
+            positions.append(x[0])
+    axis.terminate()
+    axis.freeInstance()
+    return np.array(positions)
+
+
+def test_in_a_fixed_step_master_that_resets_only_where_it_is_told(
+    axis: tuple[Model, Path], duty: np.ndarray, tmp_path: Path
+) -> None:
+    """Where an event falls between two of its steps it is a step late, so they are short."""
+    model, fmu = axis
+    duty = duty[:1001]
+    error = np.max(np.abs(fixed_step(fmu, tmp_path / "x", duty, 50) - truth(model, duty, True)))
+    assert error < CLOSE
