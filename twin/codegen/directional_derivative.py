@@ -50,8 +50,8 @@ class _ChainRule(FunctionDerivative):
                 slope = self._slope(inner)
                 return slope and f"({_OUTER[name].format(f'({ast.unparse(inner)})')} * {slope})"
             case ast.Call(ast.Name(name), [left, right]) if name in _PICKS:
-                test = f"({ast.unparse(left)}) {_PICKS[name]} ({ast.unparse(right)})"
-                return self._either(test, self._slope(left), self._slope(right))
+                picked = f"({ast.unparse(left)}) {_PICKS[name]} ({ast.unparse(right)})"
+                return self._either(picked, self._slope(left), self._slope(right))
         raise ValueError(f"no derivative for {ast.unparse(node)!r}")
 
     def _of_two(self, left: ast.expr, operator: ast.operator, right: ast.expr) -> str:
