@@ -52,6 +52,8 @@ class _ChainRule(FunctionDerivative):
             case ast.Call(ast.Name(name), [left, right]) if name in _PICKS:
                 picked = f"({ast.unparse(left)}) {_PICKS[name]} ({ast.unparse(right)})"
                 return self._either(picked, self._slope(left), self._slope(right))
+            case ast.Call(ast.Name(name) as function, [first, *rest]) if name in _PICKS:
+                return self._slope(ast.Call(function, [first, ast.Call(function, rest, [])], []))
         raise ValueError(f"no derivative for {ast.unparse(node)!r}")
 
     def _of_two(self, left: ast.expr, operator: ast.operator, right: ast.expr) -> str:
