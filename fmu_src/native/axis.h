@@ -151,7 +151,7 @@ static int differentiate(Instance *me, double *d)
         rates_t(slot[COMMAND], d[COMMAND], slot + FIRST_STATE, dx, slot + FIRST_PARAMETER, d + FIRST_PARAMETER,
                 slot + FIRST_KNOWN, &slope);
 #endif
-    sensor_t(slot[FIRST_STATE + POSITION], dx[POSITION], slot + FIRST_STATE, dx, slot + FIRST_PARAMETER,
+    sensor_t(slot[FIRST_STATE + POSITION], dx[POSITION], slot[FIRST_STATE + GAP], dx[GAP], slot + FIRST_STATE, dx, slot + FIRST_PARAMETER,
              d + FIRST_PARAMETER, slot + FIRST_KNOWN, &slope);
     d[MEASURED] = dx[POSITION] + slope;
     return 1;
