@@ -14,7 +14,10 @@ def _diagnose(args: argparse.Namespace) -> int:
     experiment_file = args.out.with_name(f"{args.out.stem}_next_experiment.csv")
     check_outputs(args, args.out, args.report, experiment_file)
     with show_progress(args) as tell:
+        from twin.io.recording import to_fit
+
         recordings, rig = load(args, tell)
+        to_fit(recordings)  # before anything is compiled
         from twin.diagnosis import diagnose, result
         from twin.diagnosis.change import changes_sentence, compare_models
         from twin.estimation import estimate

@@ -18,10 +18,13 @@ from twin.cli.output import (
 def _identify(args: argparse.Namespace) -> int:
     check_outputs(args, args.out)
     with show_progress(args) as tell:
+        from twin.io.recording import faults_of, preflight_of, to_fit
+
         recordings, rig = load(args, tell)
+        to_fit(recordings)  # before anything is compiled
         from twin.estimation import estimate
         from twin.io import files
-        from twin.io.recording import faults_of, preflight_of, to_fit
+        from twin.io.recording import to_fit
         from twin.model import fitted_model
         from twin.report import wording
 

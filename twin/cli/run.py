@@ -12,7 +12,10 @@ def _run(args: argparse.Namespace) -> int:
     check_outputs(args)
     check_bandwidth(args)
     with show_progress(args) as tell:
+        from twin.io.recording import to_fit
+
         recordings, rig = load(args, tell)
+        to_fit(recordings)  # before anything is compiled
         from twin import pipeline
         from twin.control import cosimulation
         from twin.diagnosis import result
