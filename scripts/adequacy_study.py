@@ -24,9 +24,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import textbook_rig
 from excitations import EXCITATIONS, FREE
 
-from twin.diagnosis import adequacy, holdout
+from twin.diagnosis import adequacy, data_split
 from twin.diagnosis.adequacy import FreeRun
-from twin.diagnosis.holdout import RecordingPart
+from twin.diagnosis.data_split import RecordingPart
 from twin.effects.catalogue import BASE
 from twin.estimation import optimizer, preparation
 from twin.estimation.fit import Fit
@@ -71,13 +71,13 @@ def record(seed: int, kind: Kind, duration: float = 40.0) -> tuple[Recording, St
 
 def judge(recording: Recording, structure: Structure, values: dict[str, float]) -> tuple[FreeRun, FreeRun, Fit]:
     """The free runs through the fitted and the held-out part of the model fitted from these values."""
-    train, held_out = holdout.split([recording])
+    train, held_out = data_split.split([recording])
     problem = preparation.prepare_recordings(train, structure)
     free = free_parameters(structure)
     fitted = optimizer.fit_with_process_noise(problem, structure, values, free)
     point = adequacy.at_own_noise(problem, fitted)
     seen = adequacy.together(adequacy.free_runs([RecordingPart(r) for r in train], problem, point, True), True)
-    tests, parts = holdout.led(held_out, structure, LEAD)
+    tests, parts = data_split.led(held_out, structure, LEAD)
     unseen = adequacy.free_runs(parts, preparation.prepare_recordings(tests, structure), point, False)
     return seen, adequacy.together(unseen, False), point
 

@@ -14,7 +14,7 @@ from fmpy.validation import validate_fmu
 from twin.control import controller, cosimulation, design
 from twin.control.controller import Controller
 from twin.control.cosimulation import Tracking
-from twin.diagnosis import diagnose, holdout, result
+from twin.diagnosis import data_split, diagnose, result
 from twin.errors import BadInput
 from twin.estimation import estimate, two_stage
 from twin.fmi import python_fmu
@@ -105,7 +105,7 @@ def run(
     structure = estimate.first_structure(recordings) if structure is None else structure
     estimate.compile_kernel(tell)
     tell("steady states and transients", 0.03)
-    training, _ = holdout.split(recordings)
+    training, _ = data_split.split(recordings)
     simple = two_stage.two_stage(training)
     diagnosis = diagnose.diagnose(recordings, structure, progress=lambda s, x: tell(s, 0.05 + 0.75 * x))
     before, after = (estimate.with_largest_command(m, recordings) for m in (diagnosis.before, diagnosis.after))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin.diagnosis import diagnose, holdout, nonparametric
+from twin.diagnosis import data_split, diagnose, holdout, nonparametric
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
 from twin.estimation import maximum_likelihood, optimizer, preparation
@@ -40,8 +40,8 @@ def made(supply: float = 0.0, load: float = 0.0) -> Recording:
 
 def fitted(
     recording: Recording,
-) -> tuple[FitProblem, Fit, list[holdout.RecordingPart]]:
-    train, held_out = holdout.split([recording])
+) -> tuple[FitProblem, Fit, list[data_split.RecordingPart]]:
+    train, held_out = data_split.split([recording])
     problem = preparation.prepare_recordings(train, STRUCTURE)
     return problem, optimizer.fit_with_process_noise(problem, STRUCTURE, VALUES, tuple(VALUES)), held_out
 
@@ -91,7 +91,7 @@ def test_what_goes_with_the_acceleration_is_less_where_that_is(
 def test_where_every_recording_is_held_out_there_is_nothing_to_fit() -> None:
     recording = replace(made(), role="holdout")
     for fit in (
-        holdout.split,
+        data_split.split,
         lambda r: maximum_likelihood.identify(r, STRUCTURE),
         lambda r: diagnose.diagnose(r, STRUCTURE),
     ):

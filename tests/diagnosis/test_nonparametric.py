@@ -12,6 +12,7 @@ from axis_runs import run, steps
 from scipy.interpolate import CubicHermiteSpline
 
 from twin.diagnosis import (
+    data_split,
     diagnose,
     holdout,
     model_comparison,
@@ -236,19 +237,19 @@ def test_where_the_end_shows_what_nothing_before_can_teach_the_middle_is_held_ou
     assert not said or ("input" in said[0]) == ("drive_saturation" in missing)
 
 
-@pytest.mark.parametrize("where", [holdout.END_PART, holdout.MIDDLE_PART])
+@pytest.mark.parametrize("where", [data_split.END_PART, data_split.MIDDLE_PART])
 def test_held_out_part_of_a_true_model_is_met_by_its_free_run(where):
     """Whether it lies at the end or in the middle: the FMU starts there anew, from what was read ahead of it."""
     case, point = fitted("nothing")
     truth = maximum_likelihood.to_model(FitProblem([case]), replace(point, values=VALUES), [case.recording])
-    train, held_out = holdout.split([case.recording], where)
-    shown = holdout.traces(truth, truth, [("train", holdout.RecordingPart(train[0])), ("holdout", held_out[0])])
+    train, held_out = data_split.split([case.recording], where)
+    shown = holdout.traces(truth, truth, [("train", data_split.RecordingPart(train[0])), ("holdout", held_out[0])])
     assert [t.role for t in shown] == ["train", "holdout"]
     assert np.array_equal(shown[1].time, case.recording.time[held_out[0].inside])
     moved = np.ptp(case.recording.output)
     assert np.nanmax(np.abs(shown[1].after - shown[1].recorded)) < 0.02 * moved
     # What was fitted is run by the kernel, also where nothing is read of it: through the FMU it is the same.
-    (again,) = holdout.traces(truth, truth, [("holdout", holdout.RecordingPart(train[0]))])
+    (again,) = holdout.traces(truth, truth, [("holdout", data_split.RecordingPart(train[0]))])
     assert len(shown[0].after) == len(train[0].time)
     assert np.abs(shown[0].after - again.after).max() < 1e-6 * moved
 
@@ -702,12 +703,12 @@ def test_what_two_variables_predict_may_be_a_curve_over_either():
 
 def test_verdicts():
     much, little, chance = left(0.6, 1e-9, 1.0), left(0.03, 1e-5, 0.1), left(0.3, 0.2, 0.4)
-    assert nonparametric.verdict_of_dependence(False, little, little) == "nothing_missing"
-    assert nonparametric.verdict_of_dependence(False, chance, chance) == "nothing_missing"
-    assert nonparametric.verdict_of_dependence(True, much, little) == "explained"
-    assert nonparametric.verdict_of_dependence(True, much, left(0.3, 1e-9, 0.3)) == "partly_explained"
-    assert nonparametric.verdict_of_dependence(True, much, left(0.5, 1e-9, 0.9)) == "unexplained"
-    assert nonparametric.verdict_of_dependence(False, much, much) == "unexplained"
+    assert nonparametric.is_described(False, little, little)
+    assert nonparametric.is_described(False, chance, chance)
+    assert nonparametric.is_described(True, much, little)
+    assert nonparametric.is_described(True, much, left(0.3, 1e-9, 0.3))
+    assert not nonparametric.is_described(True, much, left(0.5, 1e-9, 0.9))
+    assert not nonparametric.is_described(False, much, much)
 
 
 def test_unknown_kind_is_refused():

@@ -8,35 +8,28 @@ lacks against the torque that the drive made; and where the held-out data leave 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnosis import drift
-from twin.diagnosis.drift import Dynamics, MeanSquare
-from twin.diagnosis.holdout import RecordingPart
-from twin.estimation import filter_memory, likelihood, optimizer, parameter_bounds
+from twin.diagnosis import data_split, drift, free_run, residual_torque
+from twin.diagnosis.coverage import Beyond
+from twin.diagnosis.data_split import RecordingPart
+from twin.diagnosis.drift import MeanSquare
+from twin.diagnosis.residual_torque import MissingTorque
+from twin.estimation import likelihood, optimizer, parameter_bounds, preparation
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
 from twin.estimation.problem import FitProblem
-from twin.fmi.python_fmu import start_state
-from twin.io.recording import known_quantities
-from twin.model import equations
-from twin.model.stepper import STATES, Structure
+from twin.model.stepper import Structure
 from twin.parallel import each
 
 FloatArray = NDArray[np.float64]
 
 #: Points of the grid on which the error of all free runs together is followed, and the least for one of them.
 POINTS, FEWEST = 400, 20
-#: The start of a free run is read off so many memories of the filter, off so many readings at least and averages at
-#: most, in so many looks.
-_MEMORIES, _FEWEST_READ, _MOST_READ, _LOOKS = 6.0, 10, 100, 2
-#: Share of a variable's range by which it is moved to see how a torque goes with it.
-_MOVED = 1e-4
-_STATE = {name: i for i, name in enumerate(STATES)}
 
 
 @dataclass(frozen=True)
@@ -63,39 +56,6 @@ class Error:
     factor: FloatArray  # (K, sources) of the error's covariance, without reading noise
     parameters: FloatArray  # (K, n) change of the free run by one standard error along each axis of their covariance
     reading: float  # variance of a reading, output unit^2
-
-
-def dynamics(
-    structure: Structure, values: Mapping[str, float], case: PreparedRecording, states: FloatArray
-) -> Dynamics:
-    """How a small error moves along a run of the model whose states (N, states) are given."""
-    x, v = states[:, _STATE["position"]], states[:, _STATE["velocity"]]
-    time = case.drive.time
-    known = known_quantities(case.recording)
-    given = {
-        "time": time,
-        "moment": np.full(len(time), known["moment"]),
-        "payload": np.full(len(time), known["payload"]),
-    }
-    push = _MOVED * max(float(np.ptp(x)), 1e-9), _MOVED * max(float(np.ptp(v)), 1e-9)
-
-    def torque(position: FloatArray, velocity: FloatArray) -> FloatArray:
-        at = {**given, "position": position, "velocity": velocity}
-        total = np.zeros(len(time))
-        for effect in structure.effects:
-            if effect.slot in ("load", "drag") and effect.law is not None:
-                total += equations.along(effect.id, at, values)
-        return total
-
-    inertia = np.ones(len(time))
-    for effect in structure.effects:
-        if effect.slot == "mass" and effect.law is not None:
-            inertia += equations.along(effect.id, {**given, "position": x}, values)
-    by_position = (torque(x + push[0], v) - torque(x - push[0], v)) / (2.0 * push[0])
-    by_velocity = (torque(x, v + push[1]) - torque(x, v - push[1])) / (2.0 * push[1])
-    dry = any(effect.slot == "grip" for effect in structure.effects)
-    held = (v == 0.0) & (np.append(v[1:], v[-1]) == 0.0) if dry else np.zeros(len(v), dtype=bool)
-    return Dynamics(time, -by_position / inertia, -by_velocity / inertia, ~held)
 
 
 def _axes(point: Fit) -> FloatArray:
@@ -129,98 +89,6 @@ def _chords(case: PreparedRecording, point: Fit) -> FloatArray:
     return np.asarray(0.5 * (np.array(runs[: len(axes)]) - np.array(runs[len(axes) :])).T)
 
 
-@dataclass(frozen=True, eq=False)
-class Grid:
-    """The points at which the error of a free run is followed: every few stamps while its start is read, fewer after.
-
-    `edges` (K + 1,) are stamps; the start is read off the first `begun` points, each of which stands for `stride`
-    readings.
-    """
-
-    edges: NDArray[np.intp]
-    begun: int
-    stride: int
-
-
-def _grid(case: PreparedRecording, process_noise: float, points: int) -> Grid:
-    """So many points, and before them those of the first memories of the filter, in which its start is read."""
-    count = len(case.drive.time)
-    length = _MEMORIES * filter_memory.memory_of(case, process_noise) / case.step
-    read = int(np.clip(length, min(_FEWEST_READ, count - 2), max(count // 2, 2)))
-    stride = -(-read // _MOST_READ)
-    first = np.arange(0, read + 1, stride)
-    rest = np.linspace(first[-1], count - 1, points + 1).astype(np.intp)
-    return Grid(np.unique(np.concatenate([first, rest])).astype(np.intp), len(first) - 1, stride)
-
-
-def _estimator(unit: FloatArray, noise: FloatArray, grid: Grid, reading: float) -> FloatArray:
-    """The generalised least squares (2, begun) of a change of the start from the errors at the first points.
-
-    `unit` (K, 2) is what a change of the start does to the error, `noise` (K, sources) what torque noise does. Where
-    dry friction holds the axis its velocity cannot be told, and stays as it was.
-    """
-    a, g = unit[: grid.begun], noise[: grid.begun]
-    size = np.maximum(np.sqrt(np.mean(a * a, axis=0)), 1e-300)
-    covariance = g @ g.T + max(reading / grid.stride, 1e-300) * np.eye(len(a))
-    solved = np.linalg.solve(covariance, a / size)
-    information = (a / size).T @ solved
-    return np.asarray(np.linalg.pinv(information, rcond=1e-9, hermitian=True) @ solved.T / size[:, None])
-
-
-def _means(found: FloatArray, grid: Grid) -> FloatArray:
-    """The error at the first points (begun,): the mean of the readings up to each; zero where there is none."""
-    blocks = found[1 : 1 + grid.begun * grid.stride].reshape(grid.begun, grid.stride)
-    read = np.isfinite(blocks)
-    return np.asarray(np.where(read, blocks, 0.0).sum(axis=1) / np.maximum(read.sum(axis=1), 1))
-
-
-def _unknown_gap(point: Fit, states: FloatArray) -> FloatArray:
-    """Standard deviation (N,) by which the link is ahead or behind because nobody saw where in its gap the motor began:
-    anywhere, with the same chance; it shows once the link has moved.
-    """
-    gap = point.values.get("backlash_gap", 0.0)
-    moved = np.abs(states[:, _STATE["position"]] - states[0, _STATE["position"]]) > 0.5 * gap
-    return np.asarray(np.where(np.logical_or.accumulate(moved), gap / math.sqrt(12.0), 0.0))
-
-
-@dataclass(frozen=True, eq=False)
-class Started:
-    """A free run from the start that the first readings speak for, under the model's own torque noise."""
-
-    case: PreparedRecording  # with that start
-    reading: FloatArray  # (N,) what the sensor should read
-    factor: FloatArray  # (K, sources) of the error's covariance at the points, that of the start included
-    grid: Grid
-
-
-def started(case: PreparedRecording, point: Fit, points: int) -> Started:
-    """Run the model freely from the start that makes the first readings likeliest under its own torque noise.
-
-    A velocity read off the first few counts is wrong by half a count over their time, which a free run keeps for ever
-    as an error of that speed times the time constant. The model knows how the axis goes on.
-    """
-    first = start_state(case.recording)
-    case = replace(case, start=(first.position, first.velocity))
-    reading = case.reading_variance * point.scale
-    grid = _grid(case, point.process_noise, points)
-    noise = drift.Noise(point.process_noise * reading, 1.0, 1.0)
-    for _ in range(_LOOKS):
-        run = likelihood.filtered_states(case, point.structure, point.values, 0.0)
-        moves = dynamics(point.structure, point.values, case, run.states)
-        factor = drift.factor(moves, grid.edges, noise, case.drive.speed)
-        unit, sources = factor[:, :2], factor[:, 2:]
-        estimator = _estimator(unit, sources, grid, reading)
-        change = estimator @ _means(case.recording.output - run.reading, grid)
-        position, velocity = case.start
-        case = replace(case, start=(position + float(change[0]), velocity + float(change[1])))
-    run = likelihood.filtered_states(case, point.structure, point.values, 0.0)
-    # What noise does to the first readings moves the start, and that moves all that follows.
-    kept = sources - unit @ (estimator @ sources[: grid.begun])
-    own = unit @ estimator * math.sqrt(reading / grid.stride)
-    met = _unknown_gap(point, run.states)[grid.edges[1:], None]
-    return Started(case, run.reading, np.hstack([kept, own, met]), grid)
-
-
 def error(case: PreparedRecording, part: RecordingPart, point: Fit, points: int) -> Error:
     """The error of the free run through a part, which starts where the case does.
 
@@ -239,7 +107,7 @@ def error(case: PreparedRecording, part: RecordingPart, point: Fit, points: int)
     judged = np.flatnonzero(part.inside & np.isfinite(case.recording.output))
     if len(judged) == 0:
         return Error(0.0, 0, np.ones(1), np.zeros((1, 1)), np.zeros((1, 0)), 0.0)
-    run = started(case, point, points)
+    run = free_run.started(case, point, points)
     found, factor = case.recording.output - run.reading, run.factor
     reading = case.reading_variance * point.scale
     ends = run.grid.edges[1:]
@@ -307,3 +175,167 @@ def free_runs(parts: Sequence[RecordingPart], problem: FitProblem, point: Fit, w
         error(c, p, point, min(max(POINTS * len(c.drive.time) // whole, FEWEST), len(c.drive.time) - 1))
         for c, p in zip(mine, parts, strict=True)
     ]
+
+
+# ---- the torque that the model lacks ----
+
+
+@dataclass(frozen=True)
+class TorqueFigures:
+    """The torque that the first and the last model lack, root mean square over the fitted recordings, as acceleration.
+
+    `share_left` is the second over the first and `of_drive` the second over what the drive made, both beyond what the
+    noise of the readings makes, which is `by_reading`. NaN where there is nothing to compare with.
+    """
+
+    before: float = math.nan
+    after: float = math.nan
+    by_reading: float = math.nan
+    share_left: float = math.nan
+    of_drive: float = math.nan
+    unit: str = "rad/s^2"
+
+
+def _drive_torque(case: PreparedRecording, values: Mapping[str, float]) -> FloatArray:
+    """What the drive makes of the command (N,) beyond its dead-band and within its limit, as acceleration."""
+    u = case.drive.command
+    ahead, behind = values.get("dead_band_forward", 0.0), values.get("dead_band_reverse", 0.0)
+    acting = np.maximum(u - ahead, 0.0) - np.maximum(-u - behind, 0.0)
+    limit = values.get("saturation_limit", math.inf)
+    return np.asarray(values["input_gain"] * np.clip(acting, -limit, limit))
+
+
+def _by_reading(case: PreparedRecording, point: Fit) -> MissingTorque:
+    """What would seem to be missing from an axis at rest that is read with this noise: the filter is linear there."""
+    rest = Structure.of(("inertia", "viscous_friction"))
+    noise = math.sqrt(case.reading_variance) * np.random.default_rng(1).standard_normal(len(case.drive.time))
+    measured = np.where(np.isfinite(case.drive.measured), noise, np.nan)
+    still = replace(case.drive, measured=measured, command=np.zeros(len(measured)))
+    values = {p.name: point.values.get(p.name, p.start) for p in rest.parameters}
+    return residual_torque.missing_torque(replace(case, drive=still, start=(0.0, 0.0)), rest, values)
+
+
+def _rms(parts: Iterable[FloatArray]) -> float:
+    values = np.concatenate(list(parts))
+    values = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
+
+
+def missing_torque(problem: FitProblem, before: Fit, after: Fit) -> TorqueFigures:
+    """The torque that both models lack in the fitted recordings, against each other and against the drive's."""
+    sizes, floors = [], []
+    for point in (before, after):
+        mine = problem.stepped(point.structure)
+        found = [residual_torque.missing_torque(c, point.structure, point.values).torque for c in mine]
+        sizes.append(_rms(found))
+        floors.append(_rms(_by_reading(c, point).torque for c in mine))
+    rest = [math.sqrt(max(size**2 - floor**2, 0.0)) for size, floor in zip(sizes, floors, strict=True)]
+    drive = _rms(_drive_torque(c, after.values) for c in problem.recordings)
+    unit = f"{problem.recordings[0].recording.output_unit.removesuffix('/s')}/s^2"
+    share = rest[1] / rest[0] if rest[0] > 0.0 else math.nan
+    return TorqueFigures(sizes[0], sizes[1], floors[1], share, rest[1] / drive if drive > 0.0 else math.nan, unit)
+
+
+# ---- all figures ----
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The free runs of the first and of the last model through the same data, and the recorded range of that data."""
+
+    before: FreeRun
+    after: FreeRun
+    span: float  # output unit
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """What may be claimed of a model, in figures that no search has made small.
+
+    `free_run` is keyed by "train" and "holdout"; `recordings` lists role, name and comparison of each recording.
+    `says` is one sentence.
+    """
+
+    free_run: Mapping[str, Comparison] = field(default_factory=dict)
+    recordings: tuple[tuple[str, str, Comparison], ...] = ()
+    missing_torque: TorqueFigures = field(default_factory=TorqueFigures)
+    beyond_training: tuple[Beyond, ...] = ()
+    says: str = ""
+
+
+def compare(
+    parts: Sequence[RecordingPart], problem: FitProblem, points: tuple[Fit, Fit], was_fitted: bool
+) -> tuple[Comparison, list[tuple[str, Comparison]]]:
+    """Both models through these parts, as a whole and by recording."""
+    errors = [free_runs(parts, problem, point, was_fitted) for point in points]
+    outputs = [p.recording.output[p.inside & np.isfinite(p.recording.output)] for p in parts]
+    span = float(np.ptp(np.concatenate(outputs))) if any(map(len, outputs)) else math.nan
+    whole = Comparison(together(errors[0], was_fitted), together(errors[1], was_fitted), span)
+    names = list(dict.fromkeys(c.recording.name for c in problem.recordings))
+    each_one = []
+    for name in names if len(names) > 1 else ():
+        mine = [i for i, c in enumerate(problem.recordings) if c.recording.name == name]
+        first, last = (together([e[i] for i in mine], was_fitted) for e in errors)
+        own = np.concatenate([outputs[i] for i in mine])
+        each_one.append((name, Comparison(first, last, float(np.ptp(own)) if len(own) else math.nan)))
+    return whole, each_one
+
+
+def measure(
+    problem: FitProblem, held_out: Sequence[RecordingPart], before: Fit, after: Fit, beyond: Sequence[Beyond]
+) -> Adequacy:
+    """The figures of the first and the last model on the fitted recordings and the held-out parts."""
+    points = (at_own_noise(problem, before), at_own_noise(problem, after))
+    train = [RecordingPart(r.recording) for r in problem.recordings]
+    runs, rows = {}, []
+    runs["train"], own = compare(train, problem, points, True)
+    rows += [("train", *row) for row in own]
+    if held_out:
+        tests, parts = data_split.led(held_out, after.structure, data_split.lead_of(after.values))
+        # One sensor read them all.
+        variance = problem.recordings[0].reading_variance
+        prepared = preparation.prepare_recordings(tests, after.structure)
+        same = prepared.on([replace(r, reading_variance=variance) for r in prepared.recordings])
+        runs["holdout"], own = compare(parts, same, points, False)
+        rows += [("holdout", *row) for row in own]
+    return Adequacy(runs, tuple(rows), missing_torque(problem, *points), tuple(beyond))
+
+
+def unchanged(figures: Adequacy) -> Adequacy:
+    """The figures where the first model is the last one, too."""
+    torque = figures.missing_torque
+    share = math.nan if math.isnan(torque.share_left) else 1.0
+    # What the drive makes is about the same in both.
+    of_drive = torque.of_drive / torque.share_left if torque.share_left > 0.0 else torque.of_drive
+    return replace(
+        figures,
+        free_run={role: replace(c, after=c.before) for role, c in figures.free_run.items()},
+        recordings=tuple((role, name, replace(c, after=c.before)) for role, name, c in figures.recordings),
+        missing_torque=replace(torque, after=torque.before, share_left=share, of_drive=of_drive),
+    )
+
+
+def _run_json(run: FreeRun) -> dict[str, float]:
+    values = {"rmse": run.rmse, "expected": run.expected, "p_value": run.p_value}
+    return {n: v for n, v in values.items() if math.isfinite(v)}
+
+
+def _comparison_json(compared: Comparison) -> dict[str, object]:
+    return {**_run_json(compared.after), "before": _run_json(compared.before)}
+
+
+def to_json(figures: Adequacy) -> dict[str, object]:
+    """The figures as the contract's JSON; what could not be told is null."""
+    torque = {
+        n: v if isinstance(v, str) or math.isfinite(v) else None for n, v in asdict(figures.missing_torque).items()
+    }
+    return {
+        "missing_torque": torque,
+        "free_run": {role: _comparison_json(c) for role, c in figures.free_run.items()},
+        "recordings": [{"role": role, "name": name, **_comparison_json(c)} for role, name, c in figures.recordings],
+        "beyond_training": [
+            {"variable": b.variable, "train": list(b.train), "holdout": list(b.holdout)}
+            for b in figures.beyond_training
+        ],
+        "says": figures.says,
+    }

@@ -13,8 +13,12 @@ import numpy as np
 from twin.codegen import latex
 from twin.diagnosis import (
     acceptance,
+    adequacy,
+    block_validation,
+    coverage,
     cross_validation,
     curve_substitution,
+    data_split,
     experiment_design,
     forward_selection,
     holdout,
@@ -24,8 +28,9 @@ from twin.diagnosis import (
     selection_round,
     thresholds,
 )
+from twin.diagnosis import verdict as claims
+from twin.diagnosis.data_split import Intervals, RecordingPart
 from twin.diagnosis.forward_selection import Progress, SearchResult
-from twin.diagnosis.holdout import RecordingPart
 from twin.diagnosis.nonparametric import TERM_KINDS, CurveTerm
 from twin.diagnosis.plausibility import is_plausible
 from twin.diagnosis.result import Diagnosis, Estimate, Experiment, Finding, Fitness, NotBorneOut, Trace, Undecided
@@ -251,21 +256,18 @@ def _with_curve(found: SearchResult, nameless: Fit) -> SearchResult:
     return replace(found, last=nameless, rounds=found.rounds[:1], smaller_models=(), alternatives=())
 
 
-def _keep_or_replace(found: SearchResult, nameless: Fit, verdict: str) -> tuple[SearchResult, str]:
-    """What becomes of the model, and the verdict, where this one was passed on what is left of the missing torque.
+def _keep_or_replace(found: SearchResult, nameless: Fit) -> SearchResult:
+    """What becomes of a model whose names leave most of the missing torque where it was.
 
-    Names that leave most of it give way to a curve that predicts better. A curve that has not earned its place, or does
-    less than the names, would only lead a free run astray: then the model stays as it is.
+    They give way to a curve that predicts better. A curve that has not earned its place, or does less than the names,
+    would only lead a free run astray: then the model stays as it is.
     """
-    if verdict != "unexplained":
-        return found, verdict
     if (
         model_comparison.is_significant(found.first, nameless)
         and model_comparison.criterion_difference(nameless, found.last) >= 0.0
     ):
-        return _with_curve(found, nameless), verdict
-    more = set(found.last.structure.named) - set(found.first.structure.named)
-    return found, "partly_explained" if more else verdict
+        return _with_curve(found, nameless)
+    return found
 
 
 def _fit_names_beside_curve(found: SearchResult, nameless: Fit) -> Fit:
@@ -412,17 +414,36 @@ def _split_and_search(
     Where the end of a lone recording shows what nothing before it can teach, the middle is held out instead.
     """
 
-    def looked(where: tuple[float, float]) -> tuple[list[Recording], list[RecordingPart], SearchResult, list[str]]:
-        train, held_out = holdout.split(recordings, where)
+    def looked(where: Intervals) -> tuple[list[Recording], list[RecordingPart], SearchResult, list[str]]:
+        train, held_out = data_split.split(recordings, where)
         found = forward_selection.search(train, first, held, candidates, progress)
         return train, held_out, found, holdout.physics_only_in_holdout(found.problem, found.last, held_out)
 
-    train, held_out, found, shown = looked(holdout.END_PART)
-    said = []
-    if shown and not held_out[0].whole:
-        said = [f"{s} So the middle was held out instead, and the search begun anew." for s in shown]
-        train, held_out, found, shown = looked(holdout.MIDDLE_PART)
+    choice = coverage.choose(recordings)
+    said = coverage.sentences(choice)
+    train, held_out, found, shown = looked(choice.where)
+    if shown and choice.where == data_split.END_PART and not held_out[0].whole:
+        said += [f"{s} So the middle was held out instead, and the search begun anew." for s in shown]
+        train, held_out, found, shown = looked(data_split.MIDDLE_PART)
     return train, held_out, found, said + [f"{s} Fit a recording in which it acts." for s in shown]
+
+
+def _without_worse_curve(found: SearchResult, first: Structure) -> tuple[SearchResult, list[str]]:
+    """The search, with the first model in the place of a last one whose curve does not help where it was not fitted."""
+    curves = [i for i in found.last.structure.ids if i in UNKNOWN and i not in first]
+    if not curves or block_validation.improves(found.problem, found.first, found.last):
+        return found, []
+    titles = " and ".join(EFFECTS[i].title for i in curves)
+    says = (
+        f"{titles[:1].upper()}{titles[1:]} would fit better one step ahead, but makes the free run no better through "
+        "blocks that it was not fitted to: the model stays as it was."
+    )
+    return _back_to_first(found), [says]
+
+
+def _back_to_first(found: SearchResult) -> SearchResult:
+    """The search, ended with the first model."""
+    return replace(found, last=found.first, smaller_models=(), alternatives=())
 
 
 def diagnose(
@@ -469,16 +490,17 @@ def diagnose(
         found, left[1] = learned, nonparametric.remaining_dependence(case, learned.last.structure, learned.last.values)
     named = bool(set(found.last.structure.named) - set(first.named))
     if _curve_replaces_names(found, nameless, left):
-        found, verdict = _with_curve(found, nameless), "unexplained"
+        found = _with_curve(found, nameless)
     elif drawn := curve_substitution.best_substitution(found.problem, first, found.last):
         said.append(drawn.says)
         found = replace(found, last=drawn.curve, smaller_models=(), alternatives=())
-        verdict = "partly_explained" if set(found.last.structure.named) - {*first.named, *UNKNOWN} else "unexplained"
-    else:
-        found, verdict = _keep_or_replace(found, nameless, nonparametric.verdict_of_dependence(named, *left))
-    others = _other_recordings_left(found, case) if verdict == "explained" else ()
+    elif not nonparametric.is_described(named, *left):
+        found = _keep_or_replace(found, nameless)
+    found, kept_as_it_was = _without_worse_curve(found, first)
+    said += kept_as_it_was
+    left[1] = left[0] if found.last is found.first else left[1]
+    others = _other_recordings_left(found, case)
     if others:
-        verdict = "partly_explained"
         said.append(f"What is left of the missing torque in {', '.join(others)} goes with something still.")
     lap("term without a name")
     # What was dropped may have come back in another's place.
@@ -494,6 +516,13 @@ def diagnose(
         first_point = last_point
     else:
         before = maximum_likelihood.to_model(found.problem, first_point, train)
+    fitted = [r.recording for r in found.problem.recordings]
+    figures = adequacy.measure(found.problem, held_out, first_point, last_point, coverage.beyond(fitted, held_out))
+    if claims.vetoed(figures) and last_point is not first_point:
+        said.append(claims.veto_sentence(figures, last_point.structure, first))
+        found, after, last_point, left[1] = _back_to_first(found), before, first_point, left[0]
+        figures = adequacy.unchanged(figures)
+    lap("adequacy")
     missing = [residual_torque.missing_torque(case, p.structure, p.values) for p in (first_point, last_point)]
     shapes = [tuple(residual_torque.torque_shapes(m)) for m in missing]
     lap("locate")
@@ -514,14 +543,16 @@ def diagnose(
     designed = _next_experiment(found)
     lap("next experiment")
     added = [*(f.id for f in findings), *(i for i in after.structure.ids if i in UNKNOWN)]
+    still = nonparametric.is_dependence_left(left[1]) or bool(others)
+    claim = claims.decide(figures, findings, still, any(i in UNKNOWN for i in added))
     depends = tuple(EFFECTS[added[0]].depends_on) if added else left[0].variables
     _, ranking = _probabilities(found)
     return Diagnosis(
-        verdict=verdict,
+        verdict=claim.verdict,
         findings=findings,
         ranking=ranking,
         station=EFFECTS[added[0]].station if added else "",
-        depends_on=depends if verdict != "nothing_missing" else (),
+        depends_on=depends if claim.verdict != "nothing_missing" else (),
         telling=telling,
         segments=tuple(residual_torque.segments(missing[0])),
         before=before,
@@ -538,6 +569,7 @@ def diagnose(
         remarks=(*_remarks(found, fit), *said),
         seconds=seconds,
         not_borne_out=tuple(failed),
+        adequacy=replace(figures, says=claim.says),
     )
 
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin.diagnosis import nonparametric, residual_torque, thresholds
+from twin.diagnosis.data_split import RecordingPart, lead_of
 from twin.diagnosis.residual_torque import MissingTorque
 from twin.diagnosis.result import Trace
 from twin.estimation import likelihood, preparation, prepared_recording
@@ -24,66 +24,9 @@ from twin.estimation.prepared_recording import PreparedRecording
 from twin.estimation.problem import FitProblem
 from twin.fmi import python_fmu
 from twin.io.position_loop import own_loop
-from twin.io.recording import Recording, to_fit
+from twin.io.recording import Recording
 from twin.model.equations import timed
 from twin.model.fitted_model import Model
-from twin.model.stepper import Structure
-
-#: Where in a lone recording the held-out part begins and ends, as shares of it.
-END_PART, MIDDLE_PART = (0.7, 1.0), (0.35, 0.65)
-#: Three time constants, but no less and no more than this, a free run starts ahead of what is judged, s.
-_LEAD_TIME = (1.0, 5.0)
-
-
-@dataclass(frozen=True, eq=False)
-class RecordingPart:
-    """What is read from `begin` to `end` (s) of a recording, of which the rest only leads there."""
-
-    recording: Recording
-    begin: float = 0.0
-    end: float = math.inf
-
-    @property
-    def inside(self) -> NDArray[np.bool_]:
-        """The stamps (N,) of the recording that belong to the part."""
-        return np.asarray((self.recording.time >= self.begin) & (self.recording.time <= self.end))
-
-    @property
-    def whole(self) -> bool:
-        """Whether the part is the recording."""
-        return bool(self.inside.all())
-
-
-def split(
-    recordings: Sequence[Recording], where: tuple[float, float] = END_PART
-) -> tuple[list[Recording], list[RecordingPart]]:
-    """What may be fitted, and what is held out: the recordings of that role, or a part of each if there are none.
-
-    Raises BadInput where nothing is to be fitted.
-    """
-    train = to_fit(recordings)
-    held_out = [RecordingPart(r) for r in recordings if r.role != "train"]
-    if held_out:
-        return train, held_out
-    parts = [RecordingPart(r, *(share * float(r.time[-1]) for share in where)) for r in train]
-    return [p.recording.without(p.begin, p.end) for p in parts], parts
-
-
-def led(
-    parts: Sequence[RecordingPart], structure: Structure, lead: float
-) -> tuple[list[Recording], list[RecordingPart]]:
-    """What a free run through each part goes through, from `lead` seconds ahead or from the start, and the part in it.
-
-    Physics that depends on the time since the start must run from the start.
-    """
-    runs, inside = [], []
-    for part in parts:
-        begin = 0.0 if timed(structure) else max(part.begin - lead, 0.0)
-        run = part.recording.part(begin, part.end)
-        shift = float(part.recording.time[part.recording.time >= begin][0])
-        runs.append(run)
-        inside.append(RecordingPart(run, part.begin - shift, part.end - shift))
-    return runs, inside
 
 
 def _free_run(fmu: Path, part: RecordingPart, lead: float, closed: bool) -> np.ndarray:
@@ -122,9 +65,7 @@ def traces(
     """
     clocked = any(timed(m.structure) for m in (before, after))
     # Physics that depends on the time since the start must run from the start.
-    lead = (
-        math.inf if clocked else float(np.clip(3.0 / max(after.values.get("viscous_friction", 0.0), 1e-9), *_LEAD_TIME))
-    )
+    lead = math.inf if clocked else lead_of(after.values)
     out = []
     with tempfile.TemporaryDirectory() as folder:
         fmus = [python_fmu.export(m, Path(folder) / f"{i}.fmu") for i, m in enumerate((before, after))]

@@ -250,16 +250,12 @@ def share_removed(before: RemainingDependence, after: RemainingDependence) -> fl
     return 1.0 - (after.size / max(before.size, 1e-300)) ** 2
 
 
-def verdict_of_dependence(named: bool, before: RemainingDependence, after: RemainingDependence) -> str:
-    """The contract's verdict, from what is left of the first model and of the last; `named`: effects were found.
+def is_described(named: bool, before: RemainingDependence, after: RemainingDependence) -> bool:
+    """Whether what depended on the state in the first model's missing torque is described, by names or as chance.
 
-    A name that leaves most of the missing torque where it was describes something else: that is `unexplained`.
+    A name that leaves most of the missing torque where it was describes something else.
     """
-    if not is_dependence_left(after):
-        return "explained" if named else "nothing_missing"
-    return (
-        "partly_explained" if named and share_removed(before, after) >= thresholds.MIN_SHARE_REMOVED else "unexplained"
-    )
+    return not is_dependence_left(after) or (named and share_removed(before, after) >= thresholds.MIN_SHARE_REMOVED)
 
 
 # ---- the term ----

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnosis import change
+from twin.diagnosis import adequacy, change
+from twin.diagnosis.adequacy import Adequacy
 from twin.diagnosis.change import Change
 from twin.diagnosis.residual_torque import MissingTorque, Segment, TorqueShape
 from twin.display.numbers import measure, number, percent
@@ -101,8 +102,8 @@ class NotBorneOut:
 class Diagnosis(Tabular):
     """The answer of `twin diagnose`.
 
-    `verdict` is explained, nothing_missing, partly_explained or unexplained. `ranking` pairs effect ids with
-    probabilities, the likeliest first. `fit` is keyed by "train" and "holdout", then "before" and "after".
+    `verdict` is explained, nothing_missing, partly_explained, unexplained or inconclusive. `ranking` pairs effect ids
+    with probabilities, the likeliest first. `fit` is keyed by "train" and "holdout", then "before" and "after".
     `undecided` are pairs that this recording cannot tell apart, with the experiment that would.
     """
 
@@ -128,6 +129,7 @@ class Diagnosis(Tabular):
     seconds: Mapping[str, float] = field(default_factory=dict)  # per stage
     changes: tuple[Change, ...] = ()  # from a model that was given to what this recording asks for
     not_borne_out: tuple[NotBorneOut, ...] = ()  # names that were tried and failed
+    adequacy: Adequacy = field(default_factory=Adequacy)
 
     @property
     def model(self) -> Model:
@@ -192,6 +194,7 @@ def to_json(diagnosis: Diagnosis, experiment_file: str = "") -> dict[str, Any]:
         "remarks": list(d.remarks),
         "changes": change.to_json(d.changes),
         "seconds": dict(d.seconds),
+        "adequacy": adequacy.to_json(d.adequacy),
     }
 
 

@@ -56,6 +56,8 @@ def headline(diagnosis: Diagnosis) -> str:
         return "Nothing is missing: the first model already explains this recording."
     if diagnosis.verdict == "partly_explained":
         return f"The first model left out {found}, and something else that has no name here yet."
+    if diagnosis.verdict == "inconclusive":
+        return "This recording allows no claim about what the model lacks."
     where = variables(diagnosis)
     tail = f", and it goes with {where}" if where else ""
     drawn = listed([title(i) for i in diagnosis.after.structure.ids if i in UNKNOWN])
@@ -107,6 +109,8 @@ def sentences(diagnosis: Diagnosis, tracking: Tracking | None = None) -> tuple[s
     """What somebody who reads only three sentences should know."""
     found = [*(f.says for f in diagnosis.findings), *nameless(diagnosis)]
     said = [" ".join([headline(diagnosis), *found]), fit_sentence(diagnosis)]
+    if diagnosis.adequacy.says:
+        said.append(diagnosis.adequacy.says)
     if tracking is not None:
         said.append(f"The controller made from the model was tried against the FMU: {_lower(tracking.says[0])}")
     return tuple(said)

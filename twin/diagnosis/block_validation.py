@@ -1,0 +1,61 @@
+"""Does an addition make the free run better where it was not fitted?
+
+Errors one step ahead hardly feel a curve that is wrong for seconds. So blocks of the fitted part are left out, the
+addition is fitted to the rest, and both models run freely through the blocks.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from twin.diagnosis import data_split, free_run
+from twin.diagnosis.data_split import RecordingPart
+from twin.estimation import optimizer, preparation
+from twin.estimation.fit import Fit
+from twin.estimation.problem import FitProblem
+
+#: Which blocks of a recording are left out, as shares of it.
+LEFT_OUT = ((0.15, 0.25), (0.45, 0.55), (0.75, 0.85))
+#: Points at which noise is followed while the start of a run is read.
+_POINTS = 20
+
+
+def free_run_rmse(problem: FitProblem, point: Fit) -> float:
+    """RMSE of the free runs through the blocks, each from the start that the model reads ahead of it; output unit."""
+    parts = [
+        RecordingPart(c.recording, *(share * float(c.drive.time[-1]) for share in shares))
+        for c in problem.recordings
+        for shares in LEFT_OUT
+    ]
+    recordings, inside = data_split.led(parts, point.structure, data_split.lead_of(point.values))
+    squares, count = 0.0, 0
+    own = preparation.prepare_recordings(recordings, point.structure)
+    for case, part in zip(own.stepped(point.structure), inside, strict=True):
+        judged = np.flatnonzero(part.inside & np.isfinite(case.recording.output))
+        if len(judged) == 0:
+            continue
+        error = (case.recording.output - free_run.started(case, point, _POINTS).reading)[judged]
+        if not case.drive.speed:
+            error = error - error[0]
+        squares, count = squares + float(np.sum(error**2)), count + len(judged)
+    return math.sqrt(squares / count) if count else math.nan
+
+
+def without_blocks(problem: FitProblem, smaller: Fit, larger: Fit) -> Fit:
+    """The larger model with what it has beyond the smaller one fitted without the blocks."""
+    masked = []
+    for case in problem.recordings:
+        share = case.drive.time / float(case.drive.time[-1])
+        hidden = np.any([(share >= begin) & (share <= end) for begin, end in LEFT_OUT], axis=0)
+        masked.append(replace(case, contact_mask=case.masked | hidden))
+    own = tuple(n for n in larger.free if n not in smaller.free)
+    rest = problem.on(masked).at(larger.process_noise)
+    return optimizer.levenberg_marquardt(rest, larger.structure, larger.values, own)
+
+
+def improves(problem: FitProblem, smaller: Fit, larger: Fit) -> bool:
+    """Whether the larger model's free run through blocks that its own part was not fitted to is the better one."""
+    return free_run_rmse(problem, without_blocks(problem, smaller, larger)) < free_run_rmse(problem, smaller)

@@ -1,0 +1,85 @@
+"""Which part of the recordings no fit and no choice may see, and where a free run through it begins."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.io.recording import Recording, to_fit
+from twin.model.equations import timed
+from twin.model.stepper import Structure
+
+#: Where in a lone recording the held-out parts begin and end, as shares of it.
+Intervals = tuple[tuple[float, float], ...]
+END_PART: Intervals = ((0.7, 1.0),)
+MIDDLE_PART: Intervals = ((0.35, 0.65),)
+BLOCKS: Intervals = ((0.1, 0.175), (0.35, 0.425), (0.6, 0.675), (0.85, 0.925))
+#: Three time constants, but no less and no more than this, a free run starts ahead of what is judged, s.
+_LEAD_TIME = (1.0, 5.0)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingPart:
+    """What is read from `begin` to `end` (s) of a recording, of which the rest only leads there."""
+
+    recording: Recording
+    begin: float = 0.0
+    end: float = math.inf
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """The stamps (N,) of the recording that belong to the part."""
+        return np.asarray((self.recording.time >= self.begin) & (self.recording.time <= self.end))
+
+    @property
+    def whole(self) -> bool:
+        """Whether the part is the recording."""
+        return bool(self.inside.all())
+
+
+def split(recordings: Sequence[Recording], where: Intervals = END_PART) -> tuple[list[Recording], list[RecordingPart]]:
+    """What may be fitted, and what is held out: the recordings of that role, or a part of each if there are none.
+
+    Raises BadInput where nothing is to be fitted.
+    """
+    train = to_fit(recordings)
+    held_out = [RecordingPart(r) for r in recordings if r.role != "train"]
+    if held_out:
+        return train, held_out
+    parts, kept = [], []
+    for recording in train:
+        mine = [RecordingPart(recording, *(share * float(recording.time[-1]) for share in shares)) for shares in where]
+        parts += mine
+        rest = recording
+        # From the last on: what is left out at the end makes the recording shorter.
+        for part in reversed(mine):
+            rest = rest.without(part.begin, part.end)
+        several = f"{recording.name} (without {len(mine)} blocks)"
+        kept.append(replace(rest, name=several) if len(mine) > 1 else rest)
+    return kept, parts
+
+
+def lead_of(values: Mapping[str, float]) -> float:
+    """How long (s) a free run goes before it is judged."""
+    return float(np.clip(3.0 / max(values.get("viscous_friction", 0.0), 1e-9), *_LEAD_TIME))
+
+
+def led(
+    parts: Sequence[RecordingPart], structure: Structure, lead: float
+) -> tuple[list[Recording], list[RecordingPart]]:
+    """What a free run through each part goes through, from `lead` seconds ahead or from the start, and the part in it.
+
+    Physics that depends on the time since the start must run from the start.
+    """
+    runs, inside = [], []
+    for part in parts:
+        begin = 0.0 if timed(structure) else max(part.begin - lead, 0.0)
+        run = part.recording.part(begin, part.end)
+        shift = float(part.recording.time[part.recording.time >= begin][0])
+        runs.append(run)
+        inside.append(RecordingPart(run, part.begin - shift, part.end - shift))
+    return runs, inside
