@@ -801,3 +801,11 @@ def test_friction_that_gives_by_a_count_is_none():
     for give, right in ((5e-4, False), (2e-3, True)):
         values = {**point.values, "unknown_bend_level": 1.0, "unknown_bend_give": give}
         assert is_plausible(FitProblem([fine]), replace(point, structure=structure, values=values)) is right
+
+
+@pytest.mark.parametrize(("levels", "enough"), [(4, False), (40, True)])
+def test_a_drive_curve_has_no_more_knots_than_the_command_has_levels(levels: int, enough: bool) -> None:
+    time = 0.002 * np.arange(4000)
+    duty = np.repeat(np.linspace(-40.0, 40.0, levels), 4000 // levels)
+    recording = Recording("made", time, duty, 0.01 * time, "%", "rad")
+    assert nonparametric.fixes_drive_curve(preparation.prepare_recordings([recording], STRUCTURE).recordings) == enough

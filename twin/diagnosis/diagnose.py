@@ -165,8 +165,9 @@ def _best_curve(
     # Several recordings of speed begin at angles that nobody knows.
     several = speed and len(found.problem.recordings) > 1
     strange = [k for k in TERM_KINDS if several and "position" in EFFECTS[f"unknown_{k}"].depends_on]
+    strange += [] if nonparametric.fixes_drive_curve(found.problem.recordings) else ["input"]
     shown = [t for one in left for t in nonparametric.candidate_terms(one) if t.kind not in strange]
-    always = [CurveTerm(k) for k in ALWAYS_TRIED if not (k == "position" and speed)]
+    always = [CurveTerm(k) for k in ALWAYS_TRIED if not (k in strange or (k == "position" and speed))]
     terms = dict.fromkeys((*shown, *always))
     tried = each(lambda pair: nonparametric.sketch_curve(found.problem, *pair), itertools.product(bases, terms))
     fits = each(

@@ -258,6 +258,11 @@ def is_described(named: bool, before: RemainingDependence, after: RemainingDepen
     return not is_dependence_left(after) or (named and share_removed(before, after) >= thresholds.MIN_SHARE_REMOVED)
 
 
+def fixes_drive_curve(cases: Sequence[PreparedRecording]) -> bool:
+    """Whether the commands have as many levels as a drive curve has knots: between a few levels its knots are free."""
+    return len(np.unique(np.round(np.concatenate([c.drive.command for c in cases]), 6))) >= KNOTS
+
+
 # ---- the term ----
 
 

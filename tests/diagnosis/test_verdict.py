@@ -1,0 +1,111 @@
+"""The verdict is a function of figures and findings alone, and claims nothing that these contradict."""
+
+from __future__ import annotations
+
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twin.diagnosis import verdict
+from twin.diagnosis.adequacy import Adequacy, Comparison, FreeRun, TorqueFigures, to_json, unchanged
+from twin.diagnosis.coverage import Beyond
+from twin.diagnosis.result import Estimate, Finding
+from twin.model.stepper import Structure
+
+VERDICTS = {"inconclusive", "explained", "nothing_missing", "partly_explained", "unexplained"}
+POSITIVE = st.floats(1e-6, 1e3)
+RUNS = st.builds(FreeRun, POSITIVE, POSITIVE, st.floats(0.0, 1.0))
+COMPARISONS = st.builds(Comparison, RUNS, RUNS, POSITIVE)
+TORQUES = st.builds(
+    TorqueFigures, POSITIVE, POSITIVE, POSITIVE, st.floats(0.0, 2.0), st.floats(0.0, 2.0), st.just("rad/s^2")
+)
+BEYOND = st.lists(st.just(Beyond("input", (-34.0, 34.0), (-70.0, 60.0))), max_size=1)
+FIGURES = st.builds(
+    lambda train, held, torque, beyond: Adequacy({"train": train, "holdout": held}, (), torque, tuple(beyond)),
+    COMPARISONS, COMPARISONS, TORQUES, BEYOND,
+)  # fmt: skip
+
+
+def finding(value: float, std: float) -> Finding:
+    size = {"gravity_gain": Estimate(value, std, "rad/s^2")}
+    return Finding("gravity", "load", 0.9, "Gravity.", "", size)
+
+
+FINDINGS = st.lists(st.builds(finding, st.floats(-10.0, 10.0), st.floats(1e-3, 10.0)), max_size=2)
+
+
+WITHIN_NOISE = FreeRun(0.01, 0.012, 0.6)
+
+
+def sound(after: FreeRun = WITHIN_NOISE) -> Adequacy:
+    compared = Comparison(FreeRun(0.1, 0.012, 0.0), after, 3.0)
+    torque = TorqueFigures(3.0, 0.1, 0.05, 0.03, 0.005)
+    return Adequacy({"train": compared, "holdout": compared}, (), torque)
+
+
+@given(FIGURES, FINDINGS, st.booleans(), st.booleans())
+def test_no_claim_stands_beside_figures_that_contradict_it(
+    figures: Adequacy, findings: list[Finding], left: bool, drawn: bool
+) -> None:
+    claim = verdict.decide(figures, findings, left, drawn)
+    assert claim.verdict in VERDICTS
+    assert claim.says.endswith(".") and "\n" not in claim.says
+    if claim.verdict not in ("explained", "nothing_missing"):
+        return
+    assert not left and not drawn
+    for compared in figures.free_run.values():
+        after = compared.after
+        far = after.rmse > verdict.SEVERAL * after.expected and after.rmse > verdict.SHOWS * compared.span
+        assert not (far and after.p_value < verdict.CHANCE)
+        assert after.rmse <= verdict.LARGER * compared.before.rmse or after.rmse <= after.expected
+    torque = figures.missing_torque
+    assert torque.of_drive <= verdict.TOO_MUCH
+    if findings:
+        assert torque.share_left <= verdict.MUCH_LEFT or torque.of_drive <= verdict.OF_DRIVE
+        sizes = [f.parameters["gravity_gain"] for f in findings]
+        assert all(abs(e.value) >= verdict.SURE * e.std for e in sizes)
+    assert (claim.verdict == "explained") == bool(findings)
+
+
+@given(FIGURES, FINDINGS, st.booleans(), st.booleans())
+def test_what_the_recording_does_not_allow_is_not_claimed(
+    figures: Adequacy, findings: list[Finding], left: bool, drawn: bool
+) -> None:
+    claim = verdict.decide(figures, findings, left, drawn, ["the counter restarts at 3 s"])
+    assert claim.verdict == "inconclusive" and "the counter restarts" in claim.says
+
+
+def test_each_verdict_has_its_figures() -> None:
+    sure, off = finding(3.0, 0.1), FreeRun(0.9, 0.01, 1e-9)
+    assert verdict.decide(sound(), [sure], False, False).verdict == "explained"
+    assert verdict.decide(sound(), [], False, False).verdict == "nothing_missing"
+    assert verdict.decide(sound(), [sure], True, False).verdict == "partly_explained"
+    assert verdict.decide(sound(), [finding(0.05, 0.1)], False, False).verdict == "partly_explained"
+    assert verdict.decide(unchanged(sound()), [], False, False).verdict == "unexplained"
+    assert verdict.decide(sound(off), [], False, False).verdict == "unexplained"
+
+
+def test_where_nothing_was_fitted_there_an_error_condemns_nothing() -> None:
+    good, off = FreeRun(0.01, 0.012, 0.6), FreeRun(0.9, 0.01, 1e-9)
+    runs = {"train": Comparison(good, good, 3.0), "holdout": Comparison(off, off, 3.0)}
+    torque = TorqueFigures(0.1, 0.1, 0.05, 1.0, 0.005)
+    outside = Adequacy(runs, (), torque, (Beyond("input", (-34.0, 34.0), (-70.0, 60.0)),))
+    claim = verdict.decide(outside, [], False, False)
+    assert claim.verdict == "inconclusive" and "input beyond -34 to 34" in claim.says
+
+
+def test_a_last_model_that_errs_more_is_not_handed_out() -> None:
+    worse = Comparison(FreeRun(0.1, 0.1, 0.5), FreeRun(0.3, 0.1, 1e-4), 3.0)
+    figures = Adequacy({"holdout": worse}, (), TorqueFigures())
+    assert verdict.vetoed(figures) and not verdict.vetoed(unchanged(figures))
+    within_noise = Comparison(FreeRun(0.05, 0.4, 0.9), FreeRun(0.3, 0.4, 0.6), 3.0)
+    assert not verdict.vetoed(Adequacy({"holdout": within_noise}, (), TorqueFigures()))
+    first = Structure.of(("inertia",))
+    assert "gravity" in verdict.veto_sentence(figures, first.with_("gravity"), first)
+
+
+def test_figures_that_could_not_be_told_are_null() -> None:
+    written = to_json(Adequacy({"train": Comparison(FreeRun(0.1, 0.1, 0.5), FreeRun(0.1, math.nan, 0.5), 1.0)}))
+    assert written["missing_torque"]["of_drive"] is None  # type: ignore[index]
+    assert "expected" not in written["free_run"]["train"]  # type: ignore[index]
