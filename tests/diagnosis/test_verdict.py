@@ -103,6 +103,7 @@ def test_a_last_model_that_errs_more_is_not_handed_out() -> None:
     assert not verdict.vetoed(Adequacy({"holdout": within_noise}, (), TorqueFigures()))
     first = Structure.of(("inertia",))
     assert "gravity" in verdict.veto_sentence(figures, first.with_("gravity"), first)
+    assert [n.id for n in verdict.vetoed_names(figures, first.with_("gravity"), first)] == ["gravity"]
 
 
 def test_figures_that_could_not_be_told_are_null() -> None:

@@ -521,6 +521,7 @@ def diagnose(
     figures = adequacy.measure(found.problem, held_out, first_point, last_point, coverage.beyond(fitted, held_out))
     if claims.vetoed(figures) and last_point is not first_point:
         said.append(claims.veto_sentence(figures, last_point.structure, first))
+        failed = [*failed, *claims.vetoed_names(figures, last_point.structure, first)]
         found, after, last_point, left[1] = _back_to_first(found), before, first_point, left[0]
         figures = adequacy.unchanged(figures)
     lap("adequacy")

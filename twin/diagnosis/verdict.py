@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from twin.diagnosis.adequacy import Adequacy, Comparison, FreeRun
-from twin.diagnosis.result import Estimate, Finding
+from twin.diagnosis.result import Estimate, Finding, NotBorneOut
 from twin.effects.catalogue import EFFECTS
 from twin.model.stepper import Structure
 
@@ -51,6 +51,15 @@ def is_worse(compared: Comparison) -> bool:
 def vetoed(figures: Adequacy) -> bool:
     """Whether held-out data, or the fitted ones, speak against the last model: then the first is handed out."""
     return any(is_worse(c) for c in figures.free_run.values())
+
+
+def vetoed_names(figures: Adequacy, last: Structure, first: Structure) -> list[NotBorneOut]:
+    """The names of a last model that is not handed out, with how many times the first model's error it makes."""
+    where, compared = next((role, c) for role, c in figures.free_run.items() if is_worse(c))
+    ratio = compared.after.rmse / compared.before.rmse
+    data = "held-out" if where == "holdout" else "fitted"
+    reason = f"with it the free run on {data} data errs {ratio:.2f} times as much as the first model's"
+    return [NotBorneOut(i, reason, ratio) for i in last.named if i not in first]
 
 
 def veto_sentence(figures: Adequacy, last: Structure, first: Structure) -> str:
