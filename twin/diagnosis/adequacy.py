@@ -290,8 +290,9 @@ def measure(
     runs, rows = {}, []
     runs["train"], own = compare(train, problem, points, True)
     rows += [("train", *row) for row in own]
-    if held_out:
-        tests, parts = data_split.led(held_out, after.structure, data_split.lead_of(after.values))
+    tested = [p for p in held_out if p.is_read]
+    if tested:
+        tests, parts = data_split.led(tested, after.structure, data_split.lead_of(after.values))
         # One sensor read them all.
         variance = problem.recordings[0].reading_variance
         prepared = preparation.prepare_recordings(tests, after.structure)

@@ -16,20 +16,23 @@ from twin.diagnosis.data_split import RecordingPart
 from twin.estimation import optimizer, preparation
 from twin.estimation.fit import Fit
 from twin.estimation.problem import FitProblem
+from twin.io.recording import Recording
 
-#: Which blocks of a recording are left out, as shares of it.
+#: Which blocks of a recording are left out, as shares of its readings.
 LEFT_OUT = ((0.15, 0.25), (0.45, 0.55), (0.75, 0.85))
 #: Points at which noise is followed while the start of a run is read.
 _POINTS = 20
 
 
+def blocks_of(recording: Recording) -> list[RecordingPart]:
+    """The blocks that are left out. What is held out holds no readings here, and is in none of them by itself."""
+    read = recording.time[np.isfinite(recording.output)]
+    return [RecordingPart(recording, *map(float, np.quantile(read, shares))) for shares in LEFT_OUT]
+
+
 def free_run_rmse(problem: FitProblem, point: Fit) -> float:
     """RMSE of the free runs through the blocks, each from the start that the model reads ahead of it; output unit."""
-    parts = [
-        RecordingPart(c.recording, *(share * float(c.drive.time[-1]) for share in shares))
-        for c in problem.recordings
-        for shares in LEFT_OUT
-    ]
+    parts = [part for c in problem.recordings for part in blocks_of(c.recording) if part.is_read]
     recordings, inside = data_split.led(parts, point.structure, data_split.lead_of(point.values))
     squares, count = 0.0, 0
     own = preparation.prepare_recordings(recordings, point.structure)
@@ -48,10 +51,11 @@ def without_blocks(problem: FitProblem, smaller: Fit, larger: Fit) -> Fit:
     """The larger model with what it has beyond the smaller one fitted without the blocks."""
     masked = []
     for case in problem.recordings:
-        share = case.drive.time / float(case.drive.time[-1])
-        hidden = np.any([(share >= begin) & (share <= end) for begin, end in LEFT_OUT], axis=0)
+        hidden = np.any([part.inside for part in blocks_of(case.recording)], axis=0)
         masked.append(replace(case, contact_mask=case.masked | hidden))
     own = tuple(n for n in larger.free if n not in smaller.free)
+    if not own:
+        return larger
     rest = problem.on(masked).at(larger.process_noise)
     return optimizer.levenberg_marquardt(rest, larger.structure, larger.values, own)
 

@@ -36,6 +36,11 @@ class RecordingPart:
         return np.asarray((self.recording.time >= self.begin) & (self.recording.time <= self.end))
 
     @property
+    def is_read(self) -> bool:
+        """Whether the part holds a reading."""
+        return bool(np.isfinite(self.recording.output[self.inside]).any())
+
+    @property
     def whole(self) -> bool:
         """Whether the part is the recording."""
         return bool(self.inside.all())
@@ -73,11 +78,16 @@ def led(
 ) -> tuple[list[Recording], list[RecordingPart]]:
     """What a free run through each part goes through, from `lead` seconds ahead or from the start, and the part in it.
 
-    Physics that depends on the time since the start must run from the start.
+    It begins with a reading, off which its start is read. Physics that depends on the time since the start must run
+    from the start.
     """
     runs, inside = [], []
     for part in parts:
-        begin = 0.0 if timed(structure) else max(part.begin - lead, 0.0)
+        begin = 0.0
+        if not timed(structure):
+            time = part.recording.time
+            read = time[np.isfinite(part.recording.output) & (time >= part.begin - lead)]
+            begin = float(read[0]) if len(read) and read[0] < part.end else max(part.begin - lead, 0.0)
         run = part.recording.part(begin, part.end)
         shift = float(part.recording.time[part.recording.time >= begin][0])
         runs.append(run)
