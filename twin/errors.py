@@ -1,4 +1,7 @@
-"""The one exception that a user is meant to see."""
+"""The exceptions that a user is meant to see."""
+
+from collections.abc import Mapping
+from typing import Any
 
 
 class BadInput(Exception):
@@ -7,3 +10,20 @@ class BadInput(Exception):
     The message is one line: what is wrong, where (file, line, column, value) and what to do.
     The command line prints it on stderr and exits with 2.
     """
+
+
+class StageFailed(Exception):
+    """The main stage of a run failed; what could be done without it is in the run's folder.
+
+    Attributes
+    ----------
+    failures
+        The stages that failed, each with a sentence that says why.
+    model
+        The first model.
+    """
+
+    def __init__(self, failures: Mapping[str, str], model: Any) -> None:
+        super().__init__(" ".join(failures.values()))
+        self.failures = failures
+        self.model = model

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
+import os
 import time
+import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 from fmpy.validation import validate_fmu
 
@@ -15,11 +16,12 @@ from twin.control import controller, cosimulation, design
 from twin.control.controller import Controller
 from twin.control.cosimulation import Tracking
 from twin.diagnosis import data_split, diagnose, result
-from twin.errors import BadInput
+from twin.diagnosis.result import Diagnosis
+from twin.errors import BadInput, StageFailed
 from twin.estimation import estimate, two_stage
 from twin.fmi import python_fmu
 from twin.io.api import as_list
-from twin.io.files import check_place, json_text, put
+from twin.io.files import json_text, new_folder, put
 from twin.io.recording import Recording
 from twin.model import fitted_model
 from twin.model.fitted_model import Model
@@ -27,6 +29,7 @@ from twin.model.stepper import Structure
 from twin.report.html import Check, Story, html
 
 Progress = Callable[[str, float], None]
+T = TypeVar("T")
 
 #: What `twin run` writes into its folder.
 FILES = (
@@ -43,28 +46,54 @@ def check(fmu: Path, name: str, log: Recording) -> Check:
     return Check(name, log.name, ran.rmse(log), ran.nrmse_percent(log), time.perf_counter() - began, problems)
 
 
-def _check_folder(out: Path, force: bool) -> None:
-    """Raises BadInput where the results may not or cannot go into this folder."""
-    if out.exists() and not out.is_dir():
-        raise BadInput(f"{out} is a file: give the name of a folder as `out`")
-    there = [name for name in FILES if (out / name).exists()]
-    if there and not force:
-        raise BadInput(f"{out} holds {there[0]} already: choose another folder, or overwrite with `force=True`")
-    check_place(out if out.is_dir() else out.parent)
+@dataclass
+class Stages:
+    """Runs the stages of a run; one that fails costs its own result only.
+
+    Attributes
+    ----------
+    failures
+        What failed, by the name of the stage, in a sentence.
+    """
+
+    failures: dict[str, str] = field(default_factory=dict)
+
+    def attempt(self, stage: str, work: Callable[[], T]) -> T | None:
+        """The result of a stage, or None where it failed for whatever reason: the results of the others stay."""
+        try:
+            return work()
+        except BadInput as error:
+            self.failures[stage] = f"There is no {stage}: {error}."
+        except Exception as error:
+            if os.environ.get("TWIN_DEBUG"):
+                traceback.print_exc()
+            said = " ".join(str(error).split()) or "no more is known"
+            self.failures[stage] = (
+                f"There is no {stage}: an internal error ended it ({type(error).__name__}: {said}); "
+                "all else is as it should be."
+            )
+        return None
+
+
+def _export(stages: Stages, folder: Path, name: str, model: Model, fmu: str, recording: Recording) -> Check | None:
+    """The model's file and its FMU in the folder, and how the FMU replays a recording."""
+    put(folder / f"{name}.toml", fitted_model.dumps(model))
+    if stages.attempt(fmu, lambda: python_fmu.export(model, folder / fmu)) is None:
+        return None
+    return stages.attempt(f"check of {fmu}", lambda: check(folder / fmu, fmu, recording))
 
 
 def _closed_loop(
-    found: Model, fmu: Path, bandwidth: float | None
-) -> tuple[Controller | None, Tracking | None, tuple[str, ...]]:
-    """Controller, tracking, and why there is none where there is none."""
-    try:
-        made = design.design(found, bandwidth)
-    except BadInput as error:
-        return None, None, (f"No controller could be made: {error}.",)
-    try:
-        return made, cosimulation.run(fmu, made), ()
-    except BadInput as error:
-        return made, None, (f"The closed loop could not be run: {error}.",)
+    stages: Stages, folder: Path, model: Model, bandwidth: float | None
+) -> tuple[Controller | None, Tracking | None]:
+    """A controller for the model, in the folder, and its run against the improved FMU there."""
+    made = stages.attempt("controller", lambda: design.design(model, bandwidth))
+    if made is None:
+        return None, None
+    put(folder / "controller.toml", controller.dumps(made))
+    if not (folder / "improved.fmu").exists():
+        return made, None
+    return made, stages.attempt("closed loop", lambda: cosimulation.run(folder / "improved.fmu", made))
 
 
 def run(
@@ -91,64 +120,73 @@ def run(
     Returns
     -------
     Story
-        ``.diagnosis``, ``.controller``, ``.tracking`` and what else the report shows.
+        ``.diagnosis``, ``.controller``, ``.tracking`` and what else the report shows; ``.failures`` says which stages
+        failed, and why.
 
     Raises
     ------
     BadInput
         The recordings do not allow it, or the folder cannot be used. Then nothing is written.
+    StageFailed
+        There is no diagnosis. The first model and its FMU are in the folder.
     """
     recordings, out = as_list(recordings), Path(out)
-    _check_folder(out, force)
     tell = progress or (lambda sentence, share: None)
     began = time.perf_counter()
     structure = estimate.first_structure(recordings) if structure is None else structure
-    estimate.compile_kernel(tell)
-    tell("steady states and transients", 0.03)
-    training, _ = data_split.split(recordings)
-    simple = two_stage.two_stage(training)
-    diagnosis = diagnose.diagnose(recordings, structure, progress=lambda s, x: tell(s, 0.05 + 0.75 * x))
-    before, after = (estimate.with_largest_command(m, recordings) for m in (diagnosis.before, diagnosis.after))
-    diagnosis = replace(diagnosis, before=before, after=after)
-    scratch = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name[:50]}-"))
-    try:
-        longest = max(recordings, key=lambda r: len(r.time))
-        checks = []
-        for name, kept, fmu in (("model", before, "arm.fmu"), ("improved", after, "improved.fmu")):
-            tell(f"checking {fmu} in FMPy", 0.82)
-            put(scratch / f"{name}.toml", fitted_model.dumps(kept))
-            python_fmu.export(kept, scratch / fmu)
-            checks.append(check(scratch / fmu, fmu, longest))
-        tell("controller and closed loop", 0.9)
-        made, tracking, remarks = _closed_loop(after, scratch / "improved.fmu", bandwidth)
-        if made is not None:
-            put(scratch / "controller.toml", controller.dumps(made))
-        experiment = result.experiment_csv(diagnosis.experiment, after.input_name)
-        if experiment:
-            put(scratch / "next_experiment.csv", experiment)
-        experiment_file = "next_experiment.csv" if experiment else ""
-        put(scratch / "diagnosis.json", json_text(result.to_json(diagnosis, experiment_file)))
-        seconds = {**diagnosis.seconds, "in all": time.perf_counter() - began}
-        story = Story(
-            diagnosis, recordings[0].rig, simple, tuple(checks), made, tracking, experiment_file, seconds, remarks
-        )
-        tell("writing the report", 0.96)
-        put(scratch / "report.html", html(story))
-        _publish(scratch, out)
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+    longest = max(recordings, key=lambda r: len(r.time))
+    stages = Stages()
+    with new_folder(out, FILES, force) as folder:
+        estimate.compile_kernel(tell)
+        tell("steady states and transients", 0.03)
+        simple = stages.attempt("two-stage estimate", lambda: two_stage.two_stage(data_split.split(recordings)[0]))
+        diagnosis = _diagnosis(stages, recordings, structure, lambda s, x: tell(s, 0.05 + 0.75 * x))
+        if diagnosis is None:
+            model = estimate.identify(recordings, structure, progress=lambda s, x: tell(s, 0.8 + 0.1 * x))
+            _export(stages, folder, "model", model, "arm.fmu", longest)
+        else:
+            story = _tell_story(stages, recordings, diagnosis, folder, bandwidth, tell)
+            story = replace(story, two_stage=simple, seconds={**story.seconds, "in all": time.perf_counter() - began})
+            tell("writing the report", 0.96)
+            page = stages.attempt("report", lambda: html(story))
+            if page is not None:
+                put(folder / "report.html", page)
     tell("done", 1.0)
+    if diagnosis is None:
+        raise StageFailed(stages.failures, model)
     return story
 
 
-def _publish(scratch: Path, out: Path) -> None:
-    """Move the results into the folder; what an earlier run left there goes. Raises BadInput."""
-    try:
-        out.mkdir(exist_ok=True)
-        for name in FILES:
-            if (scratch / name).exists():
-                (scratch / name).replace(out / name)
-            else:
-                (out / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise BadInput(f"{out} cannot be written ({error.strerror}): choose another place") from None
+def _tell_story(
+    stages: Stages, recordings: Sequence[Recording], diagnosis: Diagnosis, folder: Path, bandwidth: float | None,
+    tell: Progress,
+) -> Story:  # fmt: skip
+    """What follows from a diagnosis, with the files that hold it in the folder."""
+    longest = max(recordings, key=lambda r: len(r.time))
+    tell("checking the FMUs in FMPy", 0.82)
+    models = (("model", diagnosis.before, "arm.fmu"), ("improved", diagnosis.after, "improved.fmu"))
+    checks = [_export(stages, folder, name, model, fmu, longest) for name, model, fmu in models]
+    tell("controller and closed loop", 0.9)
+    made, tracking = _closed_loop(stages, folder, diagnosis.after, bandwidth)
+    experiment = result.experiment_csv(diagnosis.experiment, diagnosis.after.input_name)
+    if experiment:
+        put(folder / "next_experiment.csv", experiment)
+    experiment_file = "next_experiment.csv" if experiment else ""
+    put(folder / "diagnosis.json", json_text(result.to_json(diagnosis, experiment_file)))
+    return Story(
+        diagnosis, recordings[0].rig, None, tuple(c for c in checks if c is not None), made, tracking, experiment_file,
+        diagnosis.seconds, failures=stages.failures,
+    )  # fmt: skip
+
+
+def _diagnosis(
+    stages: Stages, recordings: Sequence[Recording], structure: Structure, tell: Progress
+) -> Diagnosis | None:
+    """The diagnosis, whose models know the largest command; None where it failed."""
+
+    def work() -> Diagnosis:
+        found = diagnose.diagnose(recordings, structure, progress=tell)
+        before, after = (estimate.with_largest_command(m, recordings) for m in (found.before, found.after))
+        return replace(found, before=before, after=after)
+
+    return stages.attempt("diagnosis", work)

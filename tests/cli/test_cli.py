@@ -22,10 +22,10 @@ from example_diagnosis import example, model_of, recording_of
 from twin import pipeline
 from twin.cli import output
 from twin.cli.main import EXAMPLES, _parser, main
-from twin.control import controller
+from twin.control import controller, cosimulation, design
 from twin.diagnosis import diagnose, result
 from twin.effects.catalogue import EFFECTS, UNKNOWN
-from twin.estimation import estimate
+from twin.estimation import estimate, two_stage
 from twin.estimation.preparation import base_structure
 from twin.fmi import python_fmu
 from twin.io import files, recording
@@ -538,16 +538,58 @@ def test_run_leaves_everything_in_its_folder(capsys, bench, known_answer):
     assert call(capsys, "run", "good.csv", "--out", "out", "--force", "--quiet")[0] == 0
 
 
-def test_a_failing_search_leaves_nothing_behind(capsys, bench, monkeypatch):
-    def fail(*_, **__):
-        raise ZeroDivisionError("in the middle")
+def fail(*_, **__):
+    raise ZeroDivisionError("in the middle")
 
+
+def test_a_failing_diagnosis_leaves_the_first_model(capsys, bench, monkeypatch):
     monkeypatch.setattr(estimate, "compile_kernel", lambda tell: None)
+    monkeypatch.setattr(estimate, "identify", lambda *_, **__: model_of())
+    monkeypatch.setattr(diagnose, "diagnose", fail)
+    code, out, err = call(capsys, "run", "good.csv", "--out", "out", "--json", "run.json")
+    assert code == 1 and "There is no diagnosis: an internal error" in out and "Traceback" not in err
+    assert {p.name for p in (bench / "out").iterdir()} == {"model.toml", "arm.fmu"}
+    answer = json.loads((bench / "run.json").read_text())
+    assert answer["failures"]["diagnosis"] == answer["says"][0]
+
+
+def test_where_no_model_is_found_nothing_is_left_behind(capsys, bench, monkeypatch):
+    monkeypatch.setattr(estimate, "compile_kernel", lambda tell: None)
+    monkeypatch.setattr(estimate, "identify", fail)
     monkeypatch.setattr(diagnose, "diagnose", fail)
     before = state(bench)
     code, _, err = call(capsys, "run", "good.csv", "--out", "out")
     assert code == 3 and "internal error" in err and "Traceback" not in err
     assert state(bench) == before and not (bench / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("module", "function", "stage", "lost"),
+    [
+        (design, "design", "controller", {"controller.toml"}),
+        (cosimulation, "run", "closed loop", set()),
+        (python_fmu, "export", "improved.fmu", {"arm.fmu", "improved.fmu"}),
+        (python_fmu, "replay", "check of arm.fmu", set()),
+        (pipeline, "html", "report", {"report.html"}),
+        (two_stage, "two_stage", "two-stage estimate", set()),
+    ],
+)
+def test_a_stage_that_fails_costs_only_itself(capsys, bench, known_answer, monkeypatch, module, function, stage, lost):
+    monkeypatch.setattr(module, function, fail)
+    code, out, err = call(capsys, "run", "good.csv", "--out", "out", "--json", "run.json")
+    assert code == 0, err
+    assert {p.name for p in (bench / "out").iterdir()} == set(pipeline.FILES) - lost
+    answer = json.loads((bench / "run.json").read_text(), parse_constant=pytest.fail)
+    assert answer["diagnosis"]["verdict"] == "explained" and answer["failures"][stage] in answer["says"]
+    assert f"There is no {stage}: " in out and "Traceback" not in out + err
+    if "report.html" not in lost:
+        assert f"There is no {stage}: " in (bench / "out/report.html").read_text()
+
+
+def test_a_controller_that_is_asked_for_and_cannot_be_made_is_exit_1(capsys, bench, known_answer):
+    code, out, _ = call(capsys, "run", "good.csv", "--out", "out", "--bandwidth", "1e-15")
+    assert code == 1 and "There is no controller: bandwidth 1e-15 Hz is too slow" in out
+    assert (bench / "out/report.html").exists()
 
 
 def test_json_of_nothing_found_has_no_numbers_that_json_lacks():

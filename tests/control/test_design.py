@@ -211,3 +211,30 @@ def test_predicted_cycle_survives_the_file() -> None:
     made = design(axis(backlash_gap=0.02))
     assert isinstance(made.limit_cycle, LimitCycle)
     assert files.loads(files.dumps(made)).limit_cycle == made.limit_cycle
+
+
+def test_a_model_that_does_not_know_its_gain_gets_no_controller() -> None:
+    """Feedback of the wrong sign runs away; a gain that was held is taken at its word."""
+    model = axis()
+    known = replace(model, fitted=("input_gain",), covariance=np.array([[(0.1 * model.values["input_gain"]) ** 2]]))
+    assert design(known).bandwidth == pytest.approx(design(model).bandwidth)
+    for size in (0.6 * model.values["input_gain"], 1e6, math.inf):
+        with pytest.raises(BadInput, match="input_gain is not known"):
+            design(replace(known, covariance=np.array([[size**2]])))
+
+
+@given(bandwidth=st.floats(1e-300, 1e300))
+@settings(deadline=None, max_examples=40)
+def test_any_bandwidth_is_designed_or_refused(bandwidth: float) -> None:
+    model = axis()
+    try:
+        made = design(model, bandwidth)
+    except BadInput:
+        assert not 0.05 < bandwidth < 3.0
+        return
+    assert made.bandwidth == bandwidth and all(map(math.isfinite, made.settings.values()))
+
+
+def test_a_noise_that_allows_no_control_is_said() -> None:
+    with pytest.raises(BadInput, match="no control at a sample time"):
+        design(replace(axis(), reading_std=1e6, torque_density=1e9))

@@ -28,6 +28,7 @@ CALM = 0.3  # velocity gain over the loop's once it has hunted
 CALM_ELASTIC = 0.12  # the same for compliant teeth, which throw the link back: more keeps it in motion
 FULL_DRIVE = {"%": 100.0}
 SPREAD_OF_NOISE = 0.03  # share of the limit that noise may take of the command
+SLOWEST = 1e-5  # bandwidth over the sample rate: below, the sampled poles are one in double precision
 SENSITIVE = 2.0  # largest sensitivity of a loop designed without an asked bandwidth
 #: What nobody sees of what acts there.
 _UNSEEN = {"bristle": "how far it is bent", "rider": "where it is in its swing"}
@@ -253,7 +254,13 @@ def _sensible(model: Model, draft: Controller) -> tuple[float, str]:
     }
     why = min(ceilings, key=lambda name: ceilings[name])
     bandwidth = ceilings[why] / (2.0 * math.pi)
-    for _ in range(40):
+    slowest = SLOWEST / model.sample_time
+    while True:
+        if not bandwidth >= slowest:
+            raise BadInput(
+                f"{why} would leave this axis a bandwidth below {slowest:.2g} Hz, which is no control at a sample time "
+                f"of {model.sample_time:g} s: identify it again from a recording with more motion"
+            )
         trial = _tuned(model, draft, bandwidth)
         if trial.command_noise > SPREAD_OF_NOISE * draft.settings["limit"]:
             why = "the sensor's resolution and the torque noise"
@@ -319,11 +326,34 @@ def _remarks(model: Model, controller: Controller) -> list[str]:
 def design(model: Model, bandwidth: float | None = None, limit: float | None = None) -> Controller:
     """The controller for a model. `bandwidth` in Hz (None: chosen), `limit` the largest command.
 
-    Raises BadInput for a bandwidth that the sample time, the delay or the loop's stability rule out, and for an axis
-    that no command moves.
+    Raises BadInput for a bandwidth that the sample time, the delay or the loop's stability rule out, for an axis
+    that no command moves, and for a model whose input gain may as well be zero.
     """
-    if not model.values["input_gain"] > 0.0:
-        raise BadInput(f"input_gain is {model.values['input_gain']:g}: nothing moves this axis; identify it again")
+    _check_gain(model)
+    try:
+        return _design(model, bandwidth, limit)
+    except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+        said = " ".join(str(error).split())
+        raise BadInput(
+            f"no controller can be computed from these values ({said}): check the model's parameters, or identify it "
+            "again"
+        ) from error
+
+
+def _check_gain(model: Model) -> None:
+    """Raises BadInput where nothing moves the axis, or the model does not know which way."""
+    gain, std = model.values["input_gain"], model.std("input_gain")
+    if not gain > 0.0:
+        raise BadInput(f"input_gain is {gain:g}: nothing moves this axis; identify it again")
+    if 1.96 * std >= gain:
+        raise BadInput(
+            f"input_gain is not known ({gain:.3g} ± {std:.2g} {model.unit('input_gain')}), so feedback may have the "
+            "wrong sign: identify it again from a recording with more motion"
+        )
+
+
+def _design(model: Model, bandwidth: float | None, limit: float | None) -> Controller:
+    """The controller, once the gain is known."""
     largest, assumed = _limit(model, limit)
     draft = _draft(model, largest)
     says = [assumed] if assumed else []
@@ -332,13 +362,18 @@ def design(model: Model, bandwidth: float | None = None, limit: float | None = N
         bandwidth = sensible
         says.append(f"bandwidth: {bandwidth:.3g} Hz, set by {why}.")
     else:
-        most = 0.1 / model.sample_time
+        most, least = 0.1 / model.sample_time, SLOWEST / model.sample_time
         if not (math.isfinite(bandwidth) and bandwidth > 0.0):
             raise BadInput(f"bandwidth is {bandwidth:g} Hz: give a number above 0")
         if bandwidth > most:
             raise BadInput(
                 f"bandwidth {bandwidth:g} Hz is beyond what a loop every {1e3 * model.sample_time:g} ms can do: "
                 f"ask for at most {most:.3g} Hz"
+            )
+        if bandwidth < least:
+            raise BadInput(
+                f"bandwidth {bandwidth:g} Hz is too slow for a loop every {1e3 * model.sample_time:g} ms: ask for at "
+                f"least {least:.2g} Hz, or for {sensible:.3g} Hz, which {why} allows"
             )
         if bandwidth > 1.2 * sensible:
             says.append(f"bandwidth: {bandwidth:.3g} Hz was asked for; {why} would set it at {sensible:.3g} Hz.")

@@ -91,6 +91,11 @@ def make_reference(
         if not (math.isfinite(value) and value > 0.0):
             raise BadInput(f"reference {name} is {value:g}: give a number above 0")
     speed, pull = SHARE * min(controller.reachable_speed, 1e6), SHARE * controller.reachable_acceleration
+    if not (speed > 0.0 and pull > 0.0):
+        raise BadInput(
+            f"the controller reaches {controller.reachable_speed:g} {controller.axis_unit}/s and "
+            f"{controller.reachable_acceleration:g} {controller.axis_unit}/s^2: both must be above 0; design it anew"
+        )
     slow = 1.0 / controller.bandwidth
     if kind == "minimum-jerk":
         length = max(1.875 * size / speed, math.sqrt(5.7735 * size / pull), 3.0 * slow)
@@ -104,6 +109,12 @@ def make_reference(
     stretch = 1.0 if duration is None else duration / whole
     lead, length = 0.5 * rest * stretch, length * stretch
     rest *= stretch
+    if not whole * stretch / controller.sample_time <= _MOST_SAMPLES:
+        raise BadInput(
+            f"{kind} reference would last {whole * stretch:.3g} s, over {_MOST_SAMPLES:.0f} samples of "
+            f"{controller.sample_time:g} s, at a bandwidth of {controller.bandwidth:.3g} Hz: give a shorter duration, "
+            "a smaller amplitude or a faster controller"
+        )
     t = np.arange(max(int(whole * stretch / controller.sample_time), 2)) * controller.sample_time
     zero = np.zeros_like(t)
     if kind == "sine":

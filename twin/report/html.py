@@ -51,6 +51,7 @@ class Story:
     experiment_file: str = ""
     seconds: Mapping[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+    failures: Mapping[str, str] = field(default_factory=dict)  # the stages that failed, and why
     origin: Origin | None = None
 
 
@@ -143,6 +144,7 @@ def _fit(d: Diagnosis, role: str, when: str) -> Fitness:
 def _lead(story: Story) -> str:
     d = story.diagnosis
     said = [*filter(None, (d.adequacy.says, wording.fit_sentence(d))), *d.remarks, *story.remarks]
+    said += story.failures.values()
     return "".join(_said(s, "lead" if i == 0 else "remark") for i, s in enumerate(said))
 
 
