@@ -19,7 +19,9 @@ from twin.effects.end_stop import NOWHERE
 from twin.estimation import (
     filter_memory,
     likelihood,
+    likelihood_profile,
     maximum_likelihood,
+    numerics,
     optimizer,
     parameter_bounds,
     preparation,
@@ -414,3 +416,19 @@ def test_friction_in_one_direction_alone_has_a_size_that_is_known() -> None:
     lean = found.free.index("friction_asymmetry")
     assert found.values["friction_asymmetry"] == pytest.approx(-1.0, abs=0.1)
     assert found.robust_covariance[lean, lean] ** 0.5 < 0.1
+
+
+def test_a_gap_of_nothing_has_an_interval_too() -> None:
+    """Its ridge goes with powers of the gap, which has none at zero."""
+    case = made(duration=6.0)
+    problem = FitProblem([case], process_noise=filter_memory.process_noise_of(case, 0.2))
+    point = likelihood.evaluate(problem, STRUCTURE, {**VALUES, "backlash_gap": 0.0}, FREE)
+    low, high = likelihood_profile.profile_interval(problem, point, "backlash_gap", 0.01, {"motor_share": -1.0})
+    assert low == 0.0 < high < math.inf
+
+
+def test_what_is_not_finite_is_not_known() -> None:
+    a, b = np.array([[1.0, np.nan], [np.nan, 2.0]]), np.array([1.0, 2.0])
+    assert np.all(np.isinf(numerics.least_squares_solution(a, b)))
+    found = numerics.without_what_is_lost(np.array([[1.0, np.nan], [np.nan, np.inf]]))
+    assert found.tolist() == [[1.0, 0.0], [0.0, math.inf]]

@@ -44,11 +44,7 @@ class Fit:
         an infinite one, and none with others."""
         eigenvalues, vectors, size = self._eigen
         inverse = (vectors / np.maximum(eigenvalues, numerics.EIGENVALUE_FLOOR)) @ vectors.T
-        found = np.asarray(inverse / np.outer(size, size))
-        lost = ~np.isfinite(np.diag(found))
-        found[lost, :] = found[:, lost] = 0.0
-        found[lost, lost] = np.inf
-        return found
+        return numerics.without_what_is_lost(np.asarray(inverse / np.outer(size, size)))
 
     @cached_property
     @numerics.ignore_overflow()

@@ -306,7 +306,7 @@ def jackknife_covariance(problem: FitProblem, point: Fit, stretch: float = BLOCK
         for g, w in zip(pulls, weights, strict=True)
     ]
     wider = np.sqrt(np.maximum(np.sum(np.square(moved), axis=0) / np.maximum(np.diag(plain), 1e-300), 1.0))
-    return np.asarray(plain * np.outer(wider, wider))
+    return numerics.without_what_is_lost(plain * np.outer(wider, wider))
 
 
 def deviances(

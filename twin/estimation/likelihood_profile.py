@@ -19,6 +19,8 @@ _CHI2_95 = 3.841
 #: So often at most an end of such an interval is moved, and steps in which all other parameters follow it there: where
 #: gap and motor's share make up for each other, fewer end on the ridge's flank, and the interval too soon.
 PROFILE_PASSES, PROFILE_STEPS = 4, 8
+#: A ridge of powers is followed by so large a factor at most: beyond, the others are at their bounds.
+MAX_RATIO = 1e3
 
 
 def _shifted_along_slope(point: Fit, name: str, value: float) -> dict[str, float]:
@@ -35,8 +37,8 @@ def _shifted_along_slope(point: Fit, name: str, value: float) -> dict[str, float
 
 
 def _shifted_by_powers(point: Fit, name: str, value: float, powers: Mapping[str, float]) -> dict[str, float]:
-    """The same where others go with powers of it."""
-    ratio = max(value, 1e-3 * point.values[name]) / max(point.values[name], 1e-300)
+    """The same where others go with powers of it, which is above 0 at the point."""
+    ratio = min(max(value / point.values[name], 1.0 / MAX_RATIO), MAX_RATIO)
     moved = {n: point.values[n] * ratio**power for n, power in powers.items() if n in point.free}
     return {**point.values, **parameter_bounds.clipped_to_bounds(moved), name: value}
 
@@ -64,7 +66,7 @@ def profile_interval(
 
     def likeliest(near: Fit, value: float, free: tuple[str, ...]) -> Fit:
         begun = [_shifted_along_slope(near, name, value)] + (
-            [_shifted_by_powers(near, name, value, powers)] if powers else []
+            [_shifted_by_powers(near, name, value, powers)] if powers and near.values[name] > 0.0 else []
         )
         reached = [
             optimizer.levenberg_marquardt(problem.at(point.process_noise), point.structure, begin, free, PROFILE_STEPS)

@@ -25,6 +25,20 @@ def ignore_overflow() -> Iterator[None]:
         yield
 
 
+def without_what_is_lost(covariance: FloatArray) -> FloatArray:
+    """The covariance (n, n) in which a variance that is not finite is infinite, and none with others."""
+    found = covariance.copy()
+    lost = ~np.isfinite(np.diag(found))
+    found[lost, :] = found[:, lost] = 0.0
+    found[lost, lost] = np.inf
+    return found
+
+
 def least_squares_solution(a: FloatArray, b: FloatArray) -> FloatArray:
-    """The smallest solution of a x = b, which is there also where a parameter leaves no trace and a is singular."""
+    """The smallest solution of a x = b, which is there also where a parameter leaves no trace and a is singular.
+
+    Infinite where a or b is not finite: nothing is known of it.
+    """
+    if not (np.all(np.isfinite(a)) and np.all(np.isfinite(b))):
+        return np.full(a.shape[1:] + b.shape[1:], np.inf)
     return np.asarray(np.linalg.lstsq(a, b, rcond=EIGENVALUE_FLOOR)[0])

@@ -127,8 +127,21 @@ class Model(Tabular):
         return Path(path)
 
 
+def _check_numbers(model: Model) -> None:
+    """Raises BadInput where a model holds what is no number, which no reader of its file would take."""
+    told = {**model.values, "reading_std": model.reading_std, "torque_density": model.torque_density, **model.known}
+    for name, value in told.items():
+        if not math.isfinite(value):
+            raise BadInput(
+                f"{name} of the model is {value:g}, not a number to write: identify it again with more motion"
+            )
+    if np.any(np.isnan(model.covariance)):
+        raise BadInput("the model's covariance is not a number everywhere: identify it again with more motion")
+
+
 def dumps(model: Model) -> str:
-    """The model as TOML text; the same model gives the same text."""
+    """The model as TOML text; the same model gives the same text. Raises BadInput where a value is no number."""
+    _check_numbers(model)
     lines = [
         f"format = {quoted(FORMAT)}",
         "",
