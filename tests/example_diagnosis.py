@@ -10,8 +10,13 @@ import numpy as np
 from twin.codegen import latex
 from twin.control.cosimulation import ModelPlant
 from twin.diagnosis import residual_torque
+from twin.diagnosis.adequacy import Adequacy, Comparison, FreeRun, TorqueFigures
+from twin.diagnosis.change import Change
+from twin.diagnosis.coverage import Beyond
 from twin.diagnosis.residual_torque import MissingTorque, Segment
 from twin.diagnosis.result import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
+from twin.io.preflight.finding import Finding as Preflight
+from twin.io.preflight.finding import Severity
 from twin.io.recording import Fault, Recording
 from twin.io.rig_file import Clock, Column, Rig
 from twin.model.fitted_model import Model
@@ -30,7 +35,8 @@ def model_of(*effects: str, axis_unit: str = "rad") -> Model:
     structure = Structure.of([*BASE, *effects])
     values = {p.name: VALUES.get(p.name, p.start) for p in structure.parameters}
     names = tuple(values)
-    covariance = np.diag([(0.01 * max(abs(v), 0.1)) ** 2 for v in values.values()])
+    errors = {name: 0.01 * max(abs(v), 0.1) for name, v in values.items()} | {"motor_share": 0.4}
+    covariance = np.diag([errors[name] ** 2 for name in names])
     return Model(
         structure, values, names, covariance, {"backlash_gap": (0.015, 0.026)},
         {"motor_share": "the recording cannot fix it; add reversals at two or more amplitudes"}, axis_unit=axis_unit,
@@ -62,11 +68,22 @@ def recording_of(model: Model, seconds: float = 4.0, name: str = "axis.csv", rol
 
 
 @cache
+def _adequacy() -> Adequacy:
+    compared = Comparison(FreeRun(0.1, 0.012, 1e-6), FreeRun(0.01, 0.012, 0.4), 3.1)
+    return Adequacy(
+        {"train": compared, "holdout": compared},
+        missing_torque=TorqueFigures(2.8, 0.035, 0.03, 0.01, 0.002),
+        beyond_training=(Beyond("input", (-30.0, 35.0), (-30.0, 40.0)),),
+        says="The figures bear the model out: p = 0.40.",
+    )
+
+
 def example(verdict: str = "explained", several: bool = False, axis_unit: str = "rad") -> Diagnosis:
     before, truth = model_of(axis_unit=axis_unit), model_of("gravity", axis_unit=axis_unit)
     after = before if verdict in ("nothing_missing", "unexplained") else truth
     names = [("a.csv", "train"), ("b.csv", "holdout")] if several else [("axis.csv", "train")]
-    recordings = tuple(recording_of(truth, name=n, role=r) for n, r in names)
+    warned = (Preflight("duty_scale", "the command never exceeds 40 %", Severity.WARNS),)
+    recordings = tuple(replace(recording_of(truth, name=n, role=r), preflight=warned) for n, r in names)
     traces = []
     for r in recordings:
         runs = [simulated(m, r.time, r.input) for m in (before, after)]
@@ -111,5 +128,7 @@ def example(verdict: str = "explained", several: bool = False, axis_unit: str = 
         experiment=Experiment("Travel over more than half a turn.", *excitation(2.0)),
         undecided=(Undecided(("gravity", "spring"), (0.62, 0.37), "travel over more than half a turn"),),
         remarks=("The likelihood & the free run <disagree>.",),
+        changes=(Change("viscous_friction", 1.2, 1.8, (1.7, 1.9), "1/s", "the viscous friction grew"),),
+        adequacy=_adequacy(),
         seconds={"search": 12.3, "locate": 0.1},
     )

@@ -33,6 +33,11 @@ NAMED = {
 }  # fmt: skip
 PLANTED = {
     "constant_offset": {"offset": 2.0},
+    "detent": {"detent_torque": 1.5, "detent_angle": 0.2},
+    "disturbance_pulse": {"pulse_torque": 1.5, "pulse_start": 0.5},
+    "friction_run_in": {"coulomb_friction": 1.0, "run_in_friction": 1.0},
+    "sticky_sector": {"coulomb_friction": 1.0, "sector_friction": 1.0},
+    "viscous_asymmetry": {"viscous_asymmetry": 0.3},
     "coulomb_friction": {"coulomb_friction": 2.0},
     "encoder_eccentricity": {"eccentricity": 0.02},
     "friction_asymmetry": {"coulomb_friction": 2.0, "friction_asymmetry": 0.8},

@@ -209,7 +209,8 @@ def test_certainty_is_never_claimed():
 
 
 def test_sentences_name_effect_and_both_errors():
-    first, second = wording.sentences(example())
+    first, second, allowed = wording.sentences(example())
+    assert allowed == example().adequacy.says
     assert "gravity on the link" in first
     assert "3.20" in second and "0.300" in second and "falls" in second
     worse = example()

@@ -39,7 +39,8 @@ def _diagnose(args: argparse.Namespace) -> int:
             recordings, structure, {} if given is None else estimate.held_parameters(given),
             progress=lambda s, x: tell(s, 0.05 + 0.9 * x), closed=args.closed_loop,
         )  # fmt: skip
-        if given is not None and given.fitted and d.before.fitted:
+        same = given is not None and given.structure.named == d.before.structure.named
+        if given is not None and same and given.fitted and d.before.fitted:
             changes = compare_models(given, d.before)
             d = replace(d, changes=changes.found, remarks=(changes_sentence(changes), *d.remarks))
         page = ""

@@ -175,7 +175,8 @@ def _check_structure(fmu: Fmu, controller: Controller) -> None:
     parameters = {node.get("name") for node in nodes if node.get("causality") == "parameter"}
     if "input_gain" not in parameters:
         return  # somebody else's FMU: only its variables can be checked
-    for effect in EFFECTS:
+    # An effect without parameters of its own leaves no trace in the description.
+    for effect in (id for id, page in EFFECTS.items() if page.parameters):
         names = {p.name for page in pages(effect) for p in page.parameters if not p.acts_on}
         here, there = effect in controller.plant, names <= parameters
         if here != there:
