@@ -29,12 +29,11 @@ EFFECTS = ("gravity", "coulomb_friction", "input_delay", "motor_lag")
 #: What no command can undo, or nobody knows in time.
 NAMED = {
     "backlash", "tooth_compliance", "end_stop", "joint_elasticity", "load_change", "periodic_disturbance",
-    "unknown_time", "unknown_drag", "unknown_bend", "unknown_swing", "input_delay",
+    "disturbance_pulse", "unknown_time", "unknown_drag", "unknown_bend", "unknown_swing", "input_delay",
 }  # fmt: skip
 PLANTED = {
     "constant_offset": {"offset": 2.0},
     "detent": {"detent_torque": 1.5, "detent_angle": 0.2},
-    "disturbance_pulse": {"pulse_torque": 1.5, "pulse_start": 0.5},
     "friction_run_in": {"coulomb_friction": 1.0, "run_in_friction": 1.0},
     "sticky_sector": {"coulomb_friction": 1.0, "sector_friction": 1.0},
     "viscous_asymmetry": {"viscous_asymmetry": 0.3},
@@ -99,6 +98,8 @@ MORE = {
     "payload_gravity": {"own_inertia": 0.01},
     "end_stop": {"stop_upper": 2.0, "stop_lower": -2.0},
     "joint_elasticity": {"joint_frequency": 12.0},
+    "disturbance_pulse": {"pulse_torque": 1.5, "pulse_start": 0.5},
+    "motor_sensor": {"backlash_gap": 0.05},
     "load_change": {"load_added": 0.5, "load_time": 3.0},
     "periodic_disturbance": {"disturbance": 1.0, "disturbance_frequency": 1.0},
     "unknown_input": {f"unknown_input_{i:02d}": 5.0 * math.sin(i) for i in range(1, 13)},
