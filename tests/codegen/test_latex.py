@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,6 +43,7 @@ def as_python(text: str, symbols: dict[str, str]) -> str:
         first = braces(text, at + 5)
         second = braces(text, first + 1)
         text = f"{text[:at]}(({text[at + 6 : first]})/({text[first + 2 : second]})){text[second + 1 :]}"
+    text = re.sub(r"\\(sin|cos|max|min)\^\{2\}", r" squared(\1) ", text)
     text = text.replace(r"\left|{", "abs(").replace(r"}\right|", ")").replace("e^{", "exp(").replace("^{2}", "**2")
     text = text.replace("}", ")").replace(r"\left[", "float(").replace(r"\right]", ")")
     for word in ("left", "right", "sin", "cos", "max", "min", "pi"):
@@ -50,7 +52,16 @@ def as_python(text: str, symbols: dict[str, str]) -> str:
 
 
 def evaluate(text: str, symbols: dict[str, str], values: dict[str, float]) -> float:
-    names = {"sin": math.sin, "cos": math.cos, "max": max, "min": min, "abs": abs, "exp": math.exp, "pi": math.pi}
+    names: dict[str, Any] = {
+        "sin": math.sin,
+        "cos": math.cos,
+        "max": max,
+        "min": min,
+        "abs": abs,
+        "exp": math.exp,
+        "pi": math.pi,
+    }
+    names["squared"] = lambda function: lambda *given: function(*given) ** 2
     for piece in text.split(r",\quad "):
         value, _, condition = piece.partition(r"\ \ ")
         condition = condition.removeprefix(r"\mathrm{if}\ ").replace(r"\mathrm{otherwise}", "True")

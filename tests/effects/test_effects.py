@@ -104,8 +104,11 @@ def test_switched_off_it_leaves_no_trace(effect):
             for p, v in zip(effect.parameters, own(effect, rng).values(), strict=True)
         }
         off, _ = run(present.with_(effect.id), values | neutral, TIME, command, longest=0.002)
-        # Not bit for bit: a stop that does nothing, or a load of nothing, still ends a piece of the path.
-        assert np.allclose(off, plain, rtol=0.0, atol=1e-6 if effect.id in {"end_stop", "load_change"} else 1e-12)
+        # Not bit for bit: a stop that does nothing, or a load of nothing, still ends a piece of the path. That may cost
+        # a small part of what steps of half the length change.
+        finer, _ = run(without, values, TIME, command, longest=0.001)
+        cut = 0.1 * np.abs(finer - plain).max() if effect.id in {"end_stop", "load_change"} else 1e-12
+        assert np.allclose(off, plain, rtol=0.0, atol=cut)
         if effect.id != "payload_gravity":
             on, _ = run(present.with_(effect.id), values | own(effect, rng), TIME, command, longest=0.002)
             assert np.abs(on - plain).max() > 1e-6

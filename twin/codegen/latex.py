@@ -173,7 +173,7 @@ class _Printer(LatexPrinter):  # type: ignore[misc]
         name = {"sine": r"\sin", "cosine": r"\cos"}.get(expr.func.__name__)
         if name is None:
             return str(super()._print_Function(expr, exp))
-        return rf"{name}\left({self._print(expr.args[0])}\right)"
+        return rf"{_raised(name, exp)}\left({self._print(expr.args[0])}\right)"
 
     def _as_ordered_terms(self, expr: sympy.Expr, order: object = None) -> list[sympy.Expr]:
         terms = super()._as_ordered_terms(expr, order=order)
@@ -198,14 +198,19 @@ class _Printer(LatexPrinter):  # type: ignore[misc]
         return r",\quad ".join(said)
 
     def _print_Max(self, expr: sympy.Expr, exp: object = None) -> str:
-        return self._called(r"\max", expr)
+        return self._called(_raised(r"\max", exp), expr)
 
     def _print_Min(self, expr: sympy.Expr, exp: object = None) -> str:
-        return self._called(r"\min", expr)
+        return self._called(_raised(r"\min", exp), expr)
 
     def _called(self, name: str, expr: sympy.Expr) -> str:
         ordered = sorted(expr.args, key=lambda a: (a.count_ops(), str(a)))
         return rf"{name}\left({', '.join(self._print(a) for a in ordered)}\right)"
+
+
+def _raised(name: str, exponent: object) -> str:
+    """A function's name, with the power that its value is taken to."""
+    return name if exponent is None else rf"{name}^{{{exponent}}}"
 
 
 def _moves(expression: sympy.Expr) -> bool:
