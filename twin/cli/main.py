@@ -60,7 +60,20 @@ FLAGS = {
     "same_structure": "--other-structure",
 }  # fmt: skip
 #: Arguments of the library whose options have the same name.
-SAME = ("amplitude", "bandwidth", "draws", "duration", "fmi", "force", "horizon", "method", "out", "rig", "target")
+SAME = (
+    "ahead",
+    "amplitude",
+    "bandwidth",
+    "draws",
+    "duration",
+    "fmi",
+    "force",
+    "horizon",
+    "method",
+    "out",
+    "rig",
+    "target",
+)
 
 
 def with_flags(message: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 import io
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,10 +15,15 @@ from twin.cli.output import answer_user, assumption_lines, fault_lines, show_pro
 from twin.errors import BadInput
 
 if TYPE_CHECKING:
+    from twin.fmi.misfit import Misfit
+    from twin.fmi.python_fmu import Replay
     from twin.io.recording import Recording, Rig
 
+#: The figures that can be limited, and the argument that does so.
+GATES = {"rmse": "max_rmse", "peak": "max_peak", "nrmse_percent": "max_nrmse"}
 
-def replay_all(args: argparse.Namespace) -> tuple[list[Recording], Rig, list[Any]]:
+
+def replay_all(args: argparse.Namespace) -> tuple[list[Recording], Rig, list[Replay]]:
     with show_progress(args) as tell:
         recordings, rig = load(args, tell)
         from twin.fmi import python_fmu
@@ -29,22 +35,28 @@ def replay_all(args: argparse.Namespace) -> tuple[list[Recording], Rig, list[Any
     return recordings, rig, ran
 
 
-def _fits(recordings: Sequence[Recording], ran: Sequence[Any]) -> list[dict[str, Any]]:
-    return [
-        {"recording": r.name, "role": r.role, "rmse": s.rmse(r), "nrmse_percent": s.nrmse_percent(r),
-         "unit": r.output_unit}
-        for r, s in zip(recordings, ran, strict=True)
-    ]  # fmt: skip
+def _fits(recordings: Sequence[Recording], ran: Sequence[Replay]) -> list[dict[str, Any]]:
+    from twin.fmi.misfit import misfit
+
+    found = [(r, misfit(r, s)) for r, s in zip(recordings, ran, strict=True)]
+    return [{"recording": r.name, "role": r.role, **_figures(m), "unit": r.output_unit} for r, m in found]
+
+
+def _figures(found: Misfit) -> dict[str, float]:
+    return {name: getattr(found, name) for name in GATES}
 
 
 def _fit_lines(fits: Sequence[Mapping[str, Any]]) -> list[str]:
     from twin.display.numbers import number, unit_text
 
-    return [
-        f"{f['recording']}: RMSE {number(f['rmse'])} {unit_text(f['unit'])}, "
-        f"{number(f['nrmse_percent'])} % of the recorded range."
-        for f in fits
-    ]
+    lines = []
+    for f in fits:
+        ahead = f.get("ahead")
+        judged, what = (ahead, f", {ahead['seconds']:g} s ahead") if ahead else (f, "")
+        error = f"RMSE {number(judged['rmse'])} {unit_text(f['unit'])}, {number(judged['nrmse_percent'])} %"
+        of = "of the range of the change over that time" if ahead else "of the recorded range"
+        lines.append(f"{f['recording']}{what}: {error} {of}; peak {number(judged['peak'])} {unit_text(f['unit'])}.")
+    return lines
 
 
 def _simulate(args: argparse.Namespace) -> int:
@@ -81,26 +93,59 @@ def _simulation_csv(recordings: Sequence[Recording], ran: Sequence[Any], closed:
     return out.getvalue()
 
 
+def _limits(args: argparse.Namespace) -> dict[str, float]:
+    """The limits that are given, by the figure that each is for. Raises BadInput."""
+    limits = {name: getattr(args, argument) for name, argument in GATES.items() if getattr(args, argument) is not None}
+    for name, limit in limits.items():
+        if not limit > 0.0:
+            raise BadInput(f"{_flag(name)} is {limit:g}: give a number above 0")
+    if not limits:
+        raise BadInput("there is nothing to hold the twin to: give --max-nrmse, --max-rmse or --max-peak")
+    return limits
+
+
+def _flag(name: str) -> str:
+    return f"--{GATES[name].replace('_', '-')}"
+
+
 def _check(args: argparse.Namespace) -> int:
-    if not args.max_nrmse > 0.0:
-        raise BadInput(f"--max-nrmse is {args.max_nrmse:g}: give a percentage above 0")
+    limits = _limits(args)
     check_outputs(args)
     recordings, rig, ran = replay_all(args)
+    from twin.fmi.misfit import misfit
     from twin.io.recording import faults_of
 
-    fits = _fits(recordings, ran)
-    bad = [f for f in fits if not f["nrmse_percent"] <= args.max_nrmse]
-    verdict = (
-        f"The twin fits: no recording is above {args.max_nrmse:g} %."
-        if not bad
-        else f"The twin does not fit: {len(bad)} of {len(fits)} above {args.max_nrmse:g} %."
-    )
+    fits, judged = _fits(recordings, ran), [misfit(r, s, args.ahead) for r, s in zip(recordings, ran, strict=True)]
+    if args.ahead is not None:
+        fits = [f | {"ahead": {"seconds": args.ahead, **_figures(m)}} for f, m in zip(fits, judged, strict=True)]
+    bad = [i for i, m in enumerate(judged) if not all(getattr(m, name) <= limits[name] for name in limits)]
+    pictures = [_picture(args, recordings[i], ran[i], judged[i]) for i in bad]
+    beyond = " or ".join(f"{_flag(name)} {limit:g}" for name, limit in limits.items())
+    verdict = f"The twin does not fit: {len(bad)} of {len(fits)} beyond" if bad else "The twin fits: none is beyond"
     answer = {
-        "format": "twin-check/1", "holds": not bad, "max_nrmse_percent": args.max_nrmse, "fit": fits,
-        "recording_faults": faults_of(recordings),
+        "format": "twin-check/1", "holds": not bad, "max_nrmse_percent": args.max_nrmse, "limits": limits, "fit": fits,
+        "plots": [str(p) for p, _ in pictures if p is not None], "recording_faults": faults_of(recordings),
     }  # fmt: skip
-    answer_user(args, [*assumption_lines(rig), *fault_lines(recordings), *_fit_lines(bad or fits), verdict], answer)
+    said = [*assumption_lines(rig), *fault_lines(recordings), *_fit_lines([fits[i] for i in bad] or fits)]
+    answer_user(args, [*said, *(says for _, says in pictures), f"{verdict} {beyond}."], answer)
     return 1 if bad else 0
+
+
+def _picture(args: argparse.Namespace, r: Recording, ran: Replay, found: Misfit) -> tuple[Path | None, str]:
+    """A picture of the worst second: its file, None where it cannot be written, and what is said of it."""
+    from twin.io.files import put
+    from twin.report.misfit_plot import worst_second
+
+    begin, end = found.worst()
+    where = f"{r.name} is missed most from {begin:.3f} to {end:.3f} s"
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "_", f"{args.fmu.stem}-{r.name}")
+    path = args.plots / f"{name}.png"
+    try:
+        args.plots.mkdir(parents=True, exist_ok=True)
+        put(path, worst_second(r, ran, found, f"{args.fmu.name} and {r.name}"))
+    except (OSError, BadInput):
+        return None, f"{where}; {args.plots} takes no picture of it: name another folder with --plots."
+    return path, f"{where}: {path}"
 
 
 def _add_simulate_arguments(parser: argparse.ArgumentParser) -> None:
@@ -114,7 +159,17 @@ def _add_check_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("fmu", type=Path, metavar="ARM.fmu")
     add_log(parser, "--log", required=True)
     add_closed(parser)
-    parser.add_argument("--max-nrmse", type=percentage, required=True, metavar="PERCENT", help="of the recorded range")
+    parser.add_argument("--max-nrmse", type=percentage, metavar="PERCENT", help="RMSE, of the recorded range")
+    parser.add_argument("--max-rmse", type=float, metavar="ERROR", help="RMSE, in the unit of the output (rad, m)")
+    parser.add_argument("--max-peak", type=float, metavar="ERROR", help="largest error, in the unit of the output")
+    parser.add_argument(
+        "--ahead", type=float, metavar="SECONDS",
+        help="judge the prediction so far ahead, not the free run: it sees lag and dead time",
+    )  # fmt: skip
+    parser.add_argument(
+        "--plots", type=Path, default=Path("twin-plots"), metavar="DIR",
+        help="where the worst second of what fails is drawn; default: twin-plots",
+    )  # fmt: skip
 
 
 SIMULATE = Command(

@@ -19,8 +19,10 @@ from twin.control.controller import Controller
 from twin.control.cosimulation import Tracking, run
 from twin.control.reference import KINDS, Reference, make_reference, read_reference
 from twin.fmi.fmu_archive import Fmu, open_fmu
+from twin.fmi.misfit import misfit
 from twin.fmi.python_fmu import Replay, replay
 from twin.io import recording as recordings
+from twin.report.misfit_plot import worst_second
 
 FloatArray = NDArray[np.floating]
 
@@ -44,23 +46,49 @@ class Checks:
         return [(r, replay(Path(fmu), r)) for r in loaded]
 
     def assert_nrmse(
-        self, fmu: str | Path, log: str | Path, max_percent: float, rig: str | Path | None = None
+        self, fmu: str | Path, log: str | Path, max_percent: float, rig: str | Path | None = None,
+        ahead: float | None = None,
+    ) -> float:  # fmt: skip
+        """The worst error of the FMU over the log's range, percent; fails beyond `max_percent`.
+
+        With `ahead` it is the error of the prediction so many seconds ahead, over the range of the change in that time.
+        """
+        return self._assert_fit(fmu, log, rig, ahead, "nrmse_percent", max_percent)
+
+    def assert_rmse(
+        self, fmu: str | Path, log: str | Path, max_error: float, rig: str | Path | None = None,
+        ahead: float | None = None,
+    ) -> float:  # fmt: skip
+        """As `assert_nrmse`, for the root mean square error in the unit of the output."""
+        return self._assert_fit(fmu, log, rig, ahead, "rmse", max_error)
+
+    def assert_peak(
+        self, fmu: str | Path, log: str | Path, max_error: float, rig: str | Path | None = None,
+        ahead: float | None = None,
+    ) -> float:  # fmt: skip
+        """As `assert_nrmse`, for the largest error in the unit of the output."""
+        return self._assert_fit(fmu, log, rig, ahead, "peak", max_error)
+
+    def _assert_fit(
+        self, fmu: str | Path, log: str | Path, rig: str | Path | None, ahead: float | None, figure: str, limit: float
     ) -> float:
-        """The worst error of the FMU over the log's range, percent; fails beyond `max_percent`."""
         worst = 0.0
         for recording, replayed in self.replay(fmu, log, rig):
-            percent = replayed.nrmse_percent(recording)
-            worst = max(worst, percent)
-            if not percent <= max_percent:
-                output = replayed.output(recording)
-                error = np.nan_to_num(np.abs(output - recording.output))
-                at = int(np.argmax(error))
-                plot = self._plot(recording.time, recording.output, output, ("recording", "FMU"), recording.output_unit)
+            found = misfit(recording, replayed, ahead)
+            value = float(getattr(found, figure))
+            worst = max(worst, value)
+            if not value <= limit:
+                name, unit = ("NRMSE", "%") if figure == "nrmse_percent" else (figure.upper(), recording.output_unit)
+                far = "" if ahead is None else f" {ahead:g} s ahead"
+                begin, end = found.worst()
+                at = int(np.nanargmax(np.abs(found.error)))
+                plot = self._plot_file()
+                plot.write_bytes(worst_second(recording, replayed, found, self.test))
                 pytest.fail(
-                    f"{fmu} no longer fits {recording.name}: NRMSE {percent:.3g} % > {max_percent:g} %\n"
-                    f"  RMSE {replayed.rmse(recording):.4g} {recording.output_unit}; furthest off at "
-                    f"{recording.time[at]:.3f} s: recorded {recording.output[at]:.5g}, simulated {output[at]:.5g}\n"
-                    f"  plot: {plot}",
+                    f"{fmu} no longer fits {recording.name}{far}: {name} {value:.3g} {unit} > {limit:g} {unit}\n"
+                    f"  RMSE {found.rmse:.4g} {recording.output_unit}; furthest off at {found.time[at]:.3f} s, by "
+                    f"{found.error[at]:.4g} {recording.output_unit}\n"
+                    f"  plot: {plot} (from {begin:.3f} to {end:.3f} s)",
                     pytrace=False,
                 )
         return worst
@@ -125,7 +153,10 @@ class Checks:
             axes.set_ylabel(label)
             axes.grid(alpha=0.3)
         below.set_xlabel("time, s")
-        self.plots.mkdir(parents=True, exist_ok=True)
-        path = self.plots / f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', self.test)}.png"
+        path = self._plot_file()
         figure.savefig(path)
         return path
+
+    def _plot_file(self) -> Path:
+        self.plots.mkdir(parents=True, exist_ok=True)
+        return self.plots / f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', self.test)}.png"
