@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from twin.diagnosis import model_comparison, screening, selection_round, thresholds, torque_regression
+from twin.diagnosis import events, model_comparison, screening, selection_round, thresholds, torque_regression
 from twin.diagnosis.plausibility import is_plausible
 from twin.diagnosis.selection_round import Hypothesis, Round
 from twin.effects.catalogue import CANDIDATES, EFFECTS
@@ -111,10 +111,12 @@ def _add_effects(
         if not this.won:
             best = this.before
             rounds.append(this)
+            events.announce(events.Reached(problem, best))
             break
         winner, best = this.rivals[0].point, _plain_winner(problem, this)
         known = [] if best is winner else [this.rivals[0]]
         rounds.append(_with_better_fit(this, best))
+        events.announce(events.Reached(problem, best))
         if this is not usual:
             # Over so long a memory others would earn by a bounce's chance what they must.
             break
@@ -174,13 +176,15 @@ def search(
     friction = _friction_for_dead_band(problem, best, candidates)
     own, first = first, first.without("dead_band").with_("coulomb_friction") if friction else first
     best = friction or best
+    events.announce(events.Reached(problem, best))
     found = _search_from(problem, best, (), first, candidates, tell)
     for this in _narrow_rounds(problem, found, best.process_noise):
         tell(f"beginning anew with {EFFECTS[this.rivals[0].added[0]].title}", 0.7)
         start = _plain_winner(problem, this)
-        other = _search_from(
-            problem, start, (_with_better_fit(this, start),), first, candidates, lambda said, share: None
-        )
+        with events.observing(None):
+            other = _search_from(
+                problem, start, (_with_better_fit(this, start),), first, candidates, lambda said, share: None
+            )
         found = _better_search(problem, found, other)
         if found.last is other.last:
             break
@@ -193,6 +197,7 @@ def search(
         swaps += _dead_band_for_friction(problem, best, begun)
         found = replace(found, first=begun, smaller_models=(*found.smaller_models, begun))
     tell("looking closer", 0.8)
+    events.announce(events.Reached(problem, best))
     return refine_with_short_memory(replace(found, last=best, alternatives=tuple(swaps)), candidates)
 
 

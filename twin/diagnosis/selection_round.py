@@ -25,7 +25,7 @@ from operator import call
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnosis import model_comparison, screening, thresholds, torque_regression
+from twin.diagnosis import events, model_comparison, screening, thresholds, torque_regression
 from twin.diagnosis.plausibility import is_plausible
 from twin.diagnosis.screening import Candidate
 from twin.effects.catalogue import EFFECTS
@@ -299,6 +299,7 @@ def run_round(
 
     def keep(found: Sequence[Hypothesis]) -> None:
         best.update(_best_per_effect(problem, before, [*best.values(), *found]))
+        events.announce(events.Compared(before, tuple((h.added[0], h.point) for h in best.values())))
 
     def leading(most: int) -> list[Hypothesis]:
         return sorted(best.values(), key=lambda h: (not is_plausible(problem, h.point, before), h.deviance))[:most]
