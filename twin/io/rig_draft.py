@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -60,10 +60,11 @@ class Section:
 
 @dataclass(frozen=True)
 class Draft:
-    """A rig file as text, what was assumed for sure, and what the user should check."""
+    """A rig file as text, what the user should check in it, and its tables by their titles, as `input.direction`."""
 
     text: str
     unsure: tuple[str, ...]
+    sections: Mapping[str, Section]
 
 
 def draft(log: Path) -> Draft:
@@ -86,18 +87,18 @@ def draft(log: Path) -> Draft:
         The log cannot be read, or has no column that can be the input or the output.
     """
     table = open_tables(log)[0]
-    columns = _numeric(table)
-    sections, unsure = _sections(table, columns)
+    columns = numeric_columns(table)
+    sections, unsure = guess_sections(table, columns)
     for _ in range(_ROUNDS):
-        text = _written(sections, log, columns, unsure)
+        text = write_sections(sections, log.name, columns, unsure)
         cure = _cure(log, text, sections, columns)
         if not cure:
             break
         unsure.append(cure)
-    return Draft(_written(sections, log, columns, unsure), tuple(unsure))
+    return Draft(write_sections(sections, log.name, columns, unsure), tuple(unsure), sections)
 
 
-def _numeric(table: Table) -> dict[str, FloatArray]:
+def numeric_columns(table: Table) -> dict[str, FloatArray]:
     """The columns that hold numbers."""
     found: dict[str, FloatArray] = {}
     for name in table.names[:200]:
@@ -121,7 +122,14 @@ def _pick(names: Sequence[str], words: Sequence[str], without: Sequence[str] = (
     return None
 
 
-def _sections(table: Table, columns: Mapping[str, FloatArray]) -> tuple[dict[str, Section], list[str]]:
+def guess_sections(table: Table, columns: Mapping[str, FloatArray]) -> tuple[dict[str, Section], list[str]]:
+    """The rig file's tables by the names of the columns and what stands in them, and what the user should check.
+
+    Raises
+    ------
+    BadInput
+        No column can be the input or the output.
+    """
     unsure: list[str] = []
     time = _time_section(table, columns, unsure)
     left = [n for n in columns if n != time.keys.get("column") and np.nanmax(columns[n]) > np.nanmin(columns[n])]
@@ -265,15 +273,26 @@ def _cure(log: Path, text: str, sections: dict[str, Section], columns: Mapping[s
     return ""
 
 
-def _written(
-    sections: Mapping[str, Section], log: Path, columns: Mapping[str, FloatArray], unsure: Sequence[str]
+def write_sections(
+    sections: Mapping[str, Section], log: str, columns: Iterable[str], unsure: Sequence[str] = ()
 ) -> str:
-    """The rig file as text."""
-    lines = [f"# What the columns of {json.dumps(log.name)} are. Columns: {', '.join(map(json.dumps, columns))}"]
+    """The rig file as text.
+
+    Parameters
+    ----------
+    sections
+        Its tables by their titles.
+    log
+        The name of the recording that it is written for.
+    columns
+        All columns of that.
+    unsure
+        What the user should check.
+    """
+    lines = [f"# What the columns of {json.dumps(log)} are. Columns: {', '.join(map(json.dumps, columns))}"]
     lines += [f"# CHECK: {u}" for u in unsure]
-    for title in ("time", "input", "input.direction", "output", *(s for s in sections if s.startswith("optional"))):
-        if title not in sections:
-            continue
+    titles = ("time", "input", "input.direction", "output", *(s for s in sections if s.startswith("optional")))
+    for title in (t for t in titles if t in sections):
         lines.append(f"\n[{title}]")
         for key, value in sections[title].keys.items():
             said = json.dumps(value, ensure_ascii=False) if isinstance(value, str) else f"{value:.10g}"

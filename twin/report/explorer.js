@@ -1,12 +1,10 @@
-/* The report's linked panels: position, error, missing torque and command over one time axis. */
+/* Linked panels over one time axis: position, error, missing torque and command in the report. */
 /* Data comes as numbers in 16 bits (differences, deflated, base64), see explorer.py. Without this script the still */
 /* pictures remain. */
 "use strict";
-(async () => {
-  const root = document.getElementById("explorer");
-  const source = document.getElementById("explorer-data");
-  if (!root || !source || typeof DecompressionStream === "undefined") return;
-  const told = JSON.parse(source.textContent);
+/* Fills an empty element with the panels of what explorer.py told. */
+async function explore(root, told) {
+  if (typeof DecompressionStream === "undefined") return;
 
   /* ---- data ---- */
 
@@ -45,6 +43,7 @@
   let current = 0, data = await stretch(0), span = [0, 1], cursor = null, drag = null;
   const hidden = new Set(); /* series that the reader switched off */
   const shownWithout = new Set(); /* effects whose removal is overlaid */
+  let overlay = null; /* a free run from outside: {says, lines: one channel a panel} */
   const whole = () => [data.time[0], data.time[data.time.length - 1]];
   span = whole();
 
@@ -99,7 +98,7 @@
       });
       group("recording").append(chooser);
     }
-    const lines = group("show");
+    const lines = told.lines.length && group("show");
     for (const line of told.lines) {
       const made = button(line.label, b => toggled(b, hidden, line.key, true), !hidden.has(line.key));
       made.classList.add("line", line.key);
@@ -167,7 +166,9 @@
   function drawn(panel) {
     const lines = panel.lines.filter(l => !hidden.has(l.line) && data[l.channel]);
     const more = (panel.without || []).filter(w => shownWithout.has(w.effect) && data[w.channel]);
-    return [...lines, ...more.map((w, i) => ({...w, colour: "ink", dashed: true}))];
+    const own = overlay && current === 0 && panel.overlay && overlay[panel.overlay]
+      ? [{channel: panel.overlay, says: overlay.says, colour: "ink"}] : [];
+    return [...lines, ...more.map((w, i) => ({...w, colour: "ink", dashed: true})), ...own];
   }
   /* Smallest and largest value of each column of pixels, so that no peak is lost. */
   function trace(ink, values, x, y, from, to, width) {
@@ -335,6 +336,13 @@
       if (acts[event.key]) { event.preventDefault(); acts[event.key](); }
     });
   }
+  /* A page around this one may lay a free run of its own over the first recording: {says, run, error} as packed. */
+  root.addEventListener("overlay", async event => {
+    const given = event.detail, count = told.stretches[0].count, first = await stretch(0);
+    if (given) for (const name of ["run", "error"]) first[name] = await series(given[name], count);
+    overlay = given;
+    draw();
+  });
   for (const link of document.querySelectorAll("[data-from]")) {
     link.addEventListener("click", event => {
       event.preventDefault();
@@ -347,4 +355,8 @@
   tools();
   draw();
   root.dataset.ready = "yes";
-})();
+}
+{
+  const source = document.getElementById("explorer-data");
+  if (source) explore(document.getElementById("explorer"), JSON.parse(source.textContent));
+}

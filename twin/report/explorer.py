@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.diagnosis import model_comparison
 from twin.diagnosis.holdout import simulate_recording
 from twin.diagnosis.result import Diagnosis, Trace
 from twin.display.numbers import capital, unit_text
@@ -62,6 +63,7 @@ class _Panel:
     unit: str
     lines: tuple[tuple[str, str, str, bool], ...]  # channel, line, what it says, drawn wide
     without: str = ""  # prefix of the channels without an effect
+    overlay: str = ""  # the channel of a free run that the page around may lay over it
 
     def told(self, out: Sequence[str]) -> dict[str, Any]:
         lines = [
@@ -71,7 +73,10 @@ class _Panel:
         without = [
             {"channel": f"{self.without}{e}", "effect": e, "says": f"without {title(e)}"} for e in out if self.without
         ]
-        return {"title": f"{self.title}, {self.unit}", "unit": self.unit, "lines": lines, "without": without}
+        return {
+            "title": f"{self.title}, {self.unit}".removesuffix(", "), "unit": self.unit, "lines": lines,
+            "without": without, "overlay": self.overlay,
+        }  # fmt: skip
 
 
 def _spliced(recording: Recording, traces: Sequence[Trace], which: str) -> FloatArray:
@@ -129,11 +134,14 @@ def _bands(d: Diagnosis, recording: Recording, traces: Sequence[Trace]) -> list[
             {"kind": "misfit", "start": s.start, "end": s.end, "says": f"{s.share:.0%} of the misfit"}
             for s in d.segments
         ]
-    bands += [
+    return bands + _faults(recording)
+
+
+def _faults(recording: Recording) -> list[dict[str, Any]]:
+    return [
         {"kind": "fault", "start": f.start, "end": f.end, "says": f"{f.kind}, left out"}
         for f in recording.faults[:FAULTS]
     ]
-    return bands
 
 
 def _places(d: Diagnosis, recording: Recording, traces: Sequence[Trace]) -> list[dict[str, Any]]:
@@ -180,10 +188,73 @@ def _stretch(d: Diagnosis, recording: Recording, without: Mapping[str, Model], s
     }
 
 
+def _stride(recordings: Sequence[Recording]) -> int:
+    """One sample in how many is shown."""
+    return max(1, math.ceil(sum(len(r.time) for r in recordings) / SAMPLES))
+
+
+def tell_recordings(recordings: Sequence[Recording]) -> dict[str, Any]:
+    """What the script needs to show recordings alone, before there is any model."""
+    shown = recordings[:RECORDINGS]
+    stride, first = _stride(shown), shown[0]
+    quantity = "Speed" if first.is_speed else "Position"
+    panels = [
+        _Panel(quantity, unit_text(first.output_unit), (("recorded", "after", "recorded", False),)),
+        _Panel("Command", unit_text(first.input_unit), (("command", "ink", "command", False),)),
+    ]
+    stretches = [
+        {
+            "name": r.name, "count": len(r.time[::stride]), "bands": _faults(r), "places": [],
+            "channels": {
+                name: packed(np.asarray(values[::stride], dtype=float))
+                for name, values in (("time", r.time), ("recorded", r.output), ("command", r.input))
+            },
+        }
+        for r in shown
+    ]  # fmt: skip
+    return _page_data(panels, stretches, stride, [], {})
+
+
+def tell_missing_torque(unit: str, time: FloatArray, before: FloatArray, after: FloatArray) -> dict[str, Any]:
+    """What the script needs to show the torque (N,) that two models lack, over inertia, in `unit` of acceleration."""
+    lines = (("missing_before", "before", "first model", False), ("missing_after", "after", "model so far", False))
+    channels = {"time": packed(time), "missing_before": packed(before), "missing_after": packed(after)}
+    stretch = {"name": "", "count": len(time), "bands": [], "places": [], "channels": channels}
+    return _page_data([_Panel("Missing torque over inertia", unit_text(unit), lines)], [stretch], 1, [], {})
+
+
+def tell_free_run(d: Diagnosis, model: Model) -> dict[str, Any]:
+    """A model's free run over the recording that the explorer shows first: what its event `overlay` takes.
+
+    `rmse` is in the output's unit, over all of that recording; `nrmse_percent` is the same of the recorded range.
+    """
+    recordings = _chosen(d)
+    recording, stride = recordings[0], _stride(recordings)
+    run = _alone(model, recording, [t for t in d.traces if t.name == recording.name and t.role == "holdout"])
+    value, percent = model_comparison.rmse(recording.output, run)
+    channels = {"run": run, "error": run - recording.output}
+    return {"rmse": value, "nrmse_percent": percent, **{n: packed(v[::stride]) for n, v in channels.items()}}
+
+
+def _page_data(
+    panels: Sequence[_Panel], stretches: list[dict[str, Any]], stride: int, models: Sequence[tuple[str, str]],
+    without: Mapping[str, Model],
+) -> dict[str, Any]:  # fmt: skip
+    """What explorer.js reads; `models` are the lines that can be switched off beside the recorded one."""
+    thinned = "" if stride == 1 else f" One sample in {stride} is shown."
+    return {
+        "panels": [panel.told(list(without)) for panel in panels],
+        "lines": [{"key": w, "label": says} for w, says in models],
+        "without": [{"key": e, "label": title(e)} for e in without],
+        "legend": f"Shaded: misfit, held out, left out.{thinned}",
+        "stretches": stretches,
+    }
+
+
 def _told(d: Diagnosis) -> dict[str, Any]:
-    """All that the script needs."""
+    """All that the script needs for a diagnosis."""
     recordings, without = _chosen(d), removable(d)
-    stride = max(1, math.ceil(sum(len(r.time) for r in recordings) / SAMPLES))
+    stride = _stride(recordings)
     first = d.recordings[0]
     output, axis, drive = unit_text(first.output_unit), unit_text(f"{d.after.axis_unit}/s^2"), d.after.input_unit
     changed = d.before.structure != d.after.structure
@@ -192,23 +263,17 @@ def _told(d: Diagnosis) -> dict[str, Any]:
         _Panel(
             "Speed" if first.is_speed else "Position", output,
             (("recorded", "recorded", "recorded", True), *((w, w, says, False) for w, says in models)),
-            "run_without_",
+            "run_without_", "run",
         ),
         _Panel(
             "Error of the free run", output, tuple((f"error_{w}", w, says, False) for w, says in models),
-            "error_without_",
+            "error_without_", "error",
         ),
         _Panel("Missing torque over inertia", axis, tuple((f"missing_{w}", w, says, False) for w, says in models)),
         _Panel("Command", unit_text(drive), (("command", "ink", "command", False),)),
     ]  # fmt: skip
-    thinned = "" if stride == 1 else f" One sample in {stride} is shown."
-    return {
-        "panels": [panel.told(list(without)) for panel in panels],
-        "lines": [{"key": w, "label": says} for w, says in (("recorded", "recorded"), *models)],
-        "without": [{"key": e, "label": title(e)} for e in without],
-        "legend": f"Shaded: misfit, held out, left out.{thinned}",
-        "stretches": [_stretch(d, r, without, stride) for r in recordings],
-    }
+    lines = (("recorded", "recorded"), *models)
+    return _page_data(panels, [_stretch(d, r, without, stride) for r in recordings], stride, lines, without)
 
 
 @cache
