@@ -148,13 +148,28 @@ def run(
             story = _tell_story(stages, recordings, diagnosis, folder, bandwidth, tell)
             story = replace(story, two_stage=simple, seconds={**story.seconds, "in all": time.perf_counter() - began})
             tell("writing the report", 0.96)
-            page = stages.attempt("report", lambda: html(story))
-            if page is not None:
-                put(folder / "report.html", page)
+            _write_report(stages, folder, story)
     tell("done", 1.0)
     if diagnosis is None:
         raise StageFailed(stages.failures, model)
     return story
+
+
+def finish(recordings: Sequence[Recording], diagnosis: Diagnosis, out: Path, progress: Progress | None = None) -> Story:
+    """What `run` does with a diagnosis, for one that is there: models, FMUs, controller and report into a folder, which
+    may hold those of an earlier run. Raises BadInput where it cannot be written.
+    """
+    stages, tell = Stages(), progress or (lambda sentence, share: None)
+    with new_folder(out, FILES, force=True) as folder:
+        story = _tell_story(stages, recordings, diagnosis, folder, None, tell)
+        _write_report(stages, folder, story)
+    return story
+
+
+def _write_report(stages: Stages, folder: Path, story: Story) -> None:
+    page = stages.attempt("report", lambda: html(story))
+    if page is not None:
+        put(folder / "report.html", page)
 
 
 def _tell_story(

@@ -210,6 +210,8 @@ def _nothing_found(d: Diagnosis) -> str:
             "None of the known effects earns its parameters on this recording, and what the first model leaves "
             "over does not depend on where the axis is, how fast it moves or what drives it."
         )
+    if d.verdict in ("inconclusive", "stopped"):
+        return "No effect is claimed to be missing."
     where = wording.variables(d) or "nothing that was looked at"
     return f"What is left over goes with {where}, but none of the known effects has that form."
 

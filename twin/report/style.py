@@ -26,7 +26,7 @@ code {{ font-family: ui-monospace, "SF Mono", Menlo, Consolas, "Liberation Mono"
 .kicker {{ font-family: var(--sans); font-size: 0.78rem; color: var(--muted); margin: 0; letter-spacing: 0.01em; }}
 .verdict {{ display: inline-block; margin-left: 0.7em; padding: 0.1em 0.65em 0.14em; border-radius: 1em;
   background: var(--tint); color: var(--after); font-weight: 600; }}
-.verdict.unexplained, .verdict.partly_explained, .verdict.inconclusive {{ background: var(--misfit); color: #9a4408; }}
+.verdict:is(.unexplained, .partly_explained, .inconclusive, .stopped) {{ background: var(--misfit); color: #9a4408; }}
 .source {{ color: var(--muted); font-size: 0.92rem; margin-bottom: 2rem; }}
 .lead {{ font-size: 1.12rem; line-height: 1.5; max-width: 43rem; }}
 .remark {{ border-left: 3px solid var(--before); padding-left: 0.9rem; }}
@@ -124,7 +124,7 @@ td.number, th.number {{ text-align: right; font-variant-numeric: lining-nums tab
   svg.figure:not(.chain) {{ filter: invert(0.9) hue-rotate(180deg); }}
   .chain .station rect {{ fill: var(--paper); }} .chain .station.found text {{ fill: var(--paper); }}
   .term.new {{ background: #17343a; }} .ranking .bar {{ background: #262c32; }}
-  .verdict.unexplained, .verdict.partly_explained, .verdict.inconclusive {{ color: #f0a36b; }} }}
+  .verdict:is(.unexplained, .partly_explained, .inconclusive, .stopped) {{ color: #f0a36b; }} }}
 @media (max-width: 40rem) {{ html {{ font-size: 15.5px; }} main {{ padding-top: 2rem; }} h1 {{ font-size: 1.7rem; }}
   .ranking li {{ grid-template-columns: 9rem 1fr 4.4rem; }} .equation .about {{ flex-basis: 100%; }} }}
 @media print {{ .explorer {{ display: none; }} html {{ font-size: 10.5pt; }} main {{ max-width: none; padding: 0;

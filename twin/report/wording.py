@@ -56,6 +56,8 @@ def headline(diagnosis: Diagnosis) -> str:
         return "Nothing is missing: the first model already explains this recording."
     if diagnosis.verdict == "partly_explained":
         return f"The first model left out {found}, and something else that has no name here yet."
+    if diagnosis.verdict == "stopped":
+        return "The search was stopped; this is its best model so far."
     if diagnosis.verdict == "inconclusive":
         return "This recording allows no claim about what the model lacks."
     where = variables(diagnosis)
