@@ -9,11 +9,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from twin.batch.api import fleet
+    from twin.batch.overview import Fleet
     from twin.control.api import cosimulate, design_controller, export_controller, make_reference
     from twin.control.controller import Controller
     from twin.control.cosimulation import Tracking
-    from twin.diagnosis.api import diagnose
+    from twin.diagnosis.api import diagnose, track
     from twin.diagnosis.result import Diagnosis
+    from twin.diagnosis.tracking import Track
     from twin.effects.catalogue import EFFECTS
     from twin.errors import BadInput
     from twin.estimation.estimate import first_structure, identify
@@ -34,10 +37,12 @@ _MODULES = {
     "Controller": "twin.control.controller",
     "Diagnosis": "twin.diagnosis.result",
     "EFFECTS": "twin.effects.catalogue",
+    "Fleet": "twin.batch.overview",
     "Model": "twin.model.fitted_model",
     "Recording": "twin.io.recording",
     "Simulation": "twin.estimation.free_run",
     "Structure": "twin.model.stepper",
+    "Track": "twin.diagnosis.tracking",
     "Tracking": "twin.control.cosimulation",
     "cosimulate": "twin.control.api",
     "design_controller": "twin.control.api",
@@ -45,18 +50,21 @@ _MODULES = {
     "export_controller": "twin.control.api",
     "export_fmu": "twin.fmi.api",
     "first_structure": "twin.estimation.estimate",
+    "fleet": "twin.batch.api",
     "identify": "twin.estimation.estimate",
     "load": "twin.io.api",
     "make_reference": "twin.control.api",
     "run": "twin.pipeline",
     "simulate": "twin.estimation.free_run",
+    "track": "twin.diagnosis.api",
     "write_report": "twin.report.api",
 }
 
 __all__ = [
-    "EFFECTS", "BadInput", "Controller", "Diagnosis", "Model", "Recording", "Simulation", "Structure", "Tracking",
-    "__version__", "cosimulate", "design_controller", "diagnose", "export_controller", "export_fmu", "first_structure",
-    "identify", "load", "make_reference", "run", "simulate", "write_report",
+    "EFFECTS", "BadInput", "Controller", "Diagnosis", "Fleet", "Model", "Recording", "Simulation", "Structure",
+    "Track", "Tracking", "__version__", "cosimulate", "design_controller", "diagnose", "export_controller",
+    "export_fmu", "first_structure", "fleet", "identify", "load", "make_reference", "run", "simulate", "track",
+    "write_report",
 ]  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from typing import NoReturn
 
-from twin.cli import control, cosim, diagnose, effects, export, identify, init, replay, run, track
+from twin.cli import control, cosim, diagnose, effects, export, fleet, identify, init, replay, run, track
 from twin.cli.command import Command
 from twin.cli.output import printable
 from twin.errors import BadInput
@@ -35,6 +35,7 @@ COMMANDS: tuple[Command, ...] = (
     cosim.COMMAND,
     replay.CHECK,
     track.COMMAND,
+    fleet.COMMAND,
     effects.COMMAND,
 )
 
@@ -51,6 +52,7 @@ EXAMPLES = {
     "cosim": "twin cosim improved.fmu controller.toml --reference step --plot step.svg",
     "check": "twin check arm.fmu --log recording.csv --max-nrmse 5",
     "track": "twin track model.toml monday.csv tuesday.csv --out history",
+    "fleet": "twin fleet fleet.csv --out fleet",
     "effects": "twin effects gravity",
 }
 
@@ -72,6 +74,7 @@ SAME = (
     "method",
     "out",
     "rig",
+    "scheduler",
     "target",
 )
 

@@ -35,9 +35,9 @@ def _logs(given: Sequence[Path]) -> list[Path]:
 
 def _fit(model: Model, log: Path, rig: Path | None, kept: Path | None) -> Model:
     """The fit of the model's structure to one recording; one that was made before is read, not made again."""
-    from twin.estimation import estimate, maximum_likelihood
+    from twin.diagnosis.api import fit_again
     from twin.io import files
-    from twin.io.recording import as_told, check_units, load
+    from twin.io.recording import load
     from twin.model import fitted_model
     from twin.report.origin import file_digest
 
@@ -47,10 +47,7 @@ def _fit(model: Model, log: Path, rig: Path | None, kept: Path | None) -> Model:
     if cached is not None and cached.exists():
         return fitted_model.read(cached)
     recordings, _ = load([log], rig)
-    for r in recordings:
-        check_units(r, "the model", model.input_unit, model.axis_unit)
-    told = [as_told(r, model.known) for r in recordings]
-    found = maximum_likelihood.identify(told, model.structure, estimate.held_parameters(model))
+    found = fit_again(model, recordings)
     if cached is not None:
         cached.parent.mkdir(parents=True, exist_ok=True)
         files.put(cached, fitted_model.dumps(found))

@@ -7,7 +7,10 @@ from dataclasses import replace
 
 from twin.diagnosis import diagnose as search
 from twin.diagnosis.result import Diagnosis
-from twin.estimation import estimate
+from twin.diagnosis.tracking import FALSE_ALARMS, Track
+from twin.diagnosis.tracking import track as judge
+from twin.errors import BadInput
+from twin.estimation import estimate, maximum_likelihood
 from twin.io.api import as_list
 from twin.io.recording import Recording, as_told, check_units
 from twin.model.fitted_model import Model
@@ -59,3 +62,56 @@ def diagnose(
     )
     before, after = (estimate.with_largest_command(m, recordings) for m in (found.before, found.after))
     return replace(found, before=before, after=after)
+
+
+def fit_again(model: Model, recordings: Recording | Sequence[Recording]) -> Model:
+    """Fit a model's structure to later recordings of its axis; what the model holds fixed stays.
+
+    Raises
+    ------
+    BadInput
+        The recordings do not allow a fit, or are in other units than the model.
+    """
+    given = as_list(recordings)
+    for r in given:
+        check_units(r, "the model", model.input_unit, model.axis_unit)
+    told = [as_told(r, model.known) for r in given]
+    return maximum_likelihood.identify(told, model.structure, estimate.held_parameters(model))
+
+
+def track(
+    model: Model, recordings: Sequence[Recording], false_alarms: float = FALSE_ALARMS, progress: Progress | None = None
+) -> Track:
+    """Follow an axis through recordings made since its model was: which parameters changed, when, by how much.
+
+    Parameters
+    ----------
+    model
+        The twin, with standard errors.
+    recordings
+        In the order in which they were made, the oldest first. Each is fitted by itself.
+    false_alarms
+        Alarms per recording of an axis that does not change.
+    progress
+        Is called with what is being done and the share of the work that is done, 0 to 1.
+
+    Returns
+    -------
+    Track
+        ``.alarms``, each with the first recording after the change, and the changes; ``.standardised`` for each
+        recording; ``.latest``, the model of what the axis is now.
+
+    Raises
+    ------
+    BadInput
+        There is no recording, one does not allow a fit, or is in other units than the model.
+    """
+    if not recordings:
+        raise BadInput("there is no recording to follow: give at least one")
+    tell = progress or (lambda sentence, share: None)
+    estimate.compile_kernel(tell)
+    fits = []
+    for i, r in enumerate(recordings):
+        tell(f"fitting {r.name}", i / len(recordings))
+        fits.append(fit_again(model, r))
+    return judge(model, fits, [r.name for r in recordings], false_alarms)

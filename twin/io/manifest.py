@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,6 +12,8 @@ from twin.io.tables.text import MISSING, TextRows, read_cells, split_cells, with
 from twin.io.units import KNOWN_UNITS
 
 _OWN_COLUMNS = ("file", "test", "role", "start", "end")
+_FLEET_COLUMNS = ("axis", "rig")
+_LONGEST_AXIS = 100  # bytes of an axis' name, which names a folder
 _HEAD = 65536  # bytes in which the word `file` stands where a table is a manifest
 
 
@@ -29,6 +31,15 @@ class Entry:
     test: str = ""
 
 
+@dataclass(frozen=True)
+class Axis:
+    """One axis of a fleet: its name, its recordings, and its rig file where the list names one."""
+
+    name: str
+    entries: tuple[Entry, ...]
+    rig: Path | None = None
+
+
 def entries_of(path: Path) -> list[Entry]:
     """The recordings that a path stands for: itself, or every line of it when it is a manifest.
 
@@ -43,15 +54,70 @@ def entries_of(path: Path) -> list[Entry]:
             raise BadInput(f"{path}: line 1: a manifest's column is 'file', in small letters; rename it")
         return [Entry(path)]
     table = _table(rows)
-    numeric = [
+    numeric = _numeric(rows, table)
+    entries = []
+    for number, row in zip(rows.numbers, table, strict=True):
+        where = f"{path}: line {number}"
+        entry = _entry(path, where, row, numeric)
+        if not _is_there(entry.path):
+            raise BadInput(f"{where}, column 'file': no such file '{row['file']}'; paths are relative to the manifest")
+        entries.append(entry)
+    return entries
+
+
+def expand(entries: Sequence[Entry]) -> list[Entry]:
+    """The entries, with those of a manifest in the place of one that is a manifest. Raises BadInput."""
+    told = []
+    for entry in entries:
+        inside = entries_of(entry.path)
+        told += [entry] if inside == [Entry(entry.path)] else inside
+    return told
+
+
+def read_fleet(path: Path) -> list[Axis]:
+    """The axes of a fleet, in the order of the list.
+
+    A fleet is a manifest with a column `axis`: rows of the same axis are recordings of it. An optional column `rig`
+    names the rig file of an axis. Whether the files are there is not asked: they may lie where only the workers of a
+    cluster see them. Raises BadInput for a line that cannot be used.
+    """
+    if not path.is_file():
+        raise BadInput(f"{path} does not exist: give a CSV with the columns axis and file")
+    rows = read_cells(path)
+    for name in ("axis", "file"):
+        if name not in rows.header:
+            raise BadInput(f"{path}: line 1 has no column '{name}': a fleet has the columns axis and file")
+    table = _table(rows)
+    numeric = [n for n in _numeric(rows, table) if n not in _FLEET_COLUMNS]
+    entries: dict[str, list[Entry]] = {}
+    rigs: dict[str, str] = {}
+    for number, row in zip(rows.numbers, table, strict=True):
+        where, name = f"{path}: line {number}", row["axis"]
+        _check_axis(where, name)
+        entries.setdefault(name, []).append(_entry(path, where, row, numeric))
+        rig = row.get("rig", "")
+        if rigs.setdefault(name, rig) != rig:
+            raise BadInput(f"{where}, column 'rig': '{rig}', where axis {name} has '{rigs[name]}': give one rig file")
+    return [Axis(n, tuple(e), path.parent / rigs[n] if rigs[n] else None) for n, e in entries.items()]
+
+
+def _check_axis(where: str, name: str) -> None:
+    """Raises BadInput where an axis' name cannot name a folder."""
+    if not name:
+        raise BadInput(f"{where}, column 'axis': is empty; name the axis")
+    unfit = name.startswith(".") or any(c in '/\\:*?"<>|' or not c.isprintable() for c in name)
+    if unfit or len(name.encode()) > _LONGEST_AXIS or name.startswith("fleet."):
+        raise BadInput(f"{where}, column 'axis': '{name}' cannot name a folder; use letters, digits, - and _")
+
+
+def _numeric(rows: TextRows, table: list[dict[str, str]]) -> list[str]:
+    """The columns that hold known quantities: numbers, and none of the manifest's own."""
+    return [
         name
         for name in rows.header
         if _quantity(name)[0] not in _OWN_COLUMNS
         and any(row[name] for row in table)
         and all(_finite(row[name]) is not None for row in table if row[name])
-    ]
-    return [
-        _entry(path, f"{path}: line {number}", row, numeric) for number, row in zip(rows.numbers, table, strict=True)
     ]
 
 
@@ -99,9 +165,8 @@ def _quantity(name: str) -> tuple[str, float]:
 
 
 def _entry(path: Path, where: str, row: Mapping[str, str], numeric: list[str]) -> Entry:
-    file = path.parent / row["file"]
-    if not row["file"] or not _is_there(file):
-        raise BadInput(f"{where}, column 'file': no such file '{row['file']}'; paths are relative to the manifest")
+    if not row["file"]:
+        raise BadInput(f"{where}, column 'file': is empty; name a recording, relative to the manifest")
     role = row.get("role") or "train"
     if role not in ("train", "holdout"):
         raise BadInput(f"{where}, column 'role': '{role}' is not known; use train or holdout")
@@ -111,7 +176,7 @@ def _entry(path: Path, where: str, row: Mapping[str, str], numeric: list[str]) -
         if value is not None:
             known[base] = value * factor
     start, end = (_seconds(row, name, where) for name in ("start", "end"))
-    return Entry(file, role, known, start, end, row.get("test", ""))
+    return Entry(path.parent / row["file"], role, known, start, end, row.get("test", ""))
 
 
 def _is_there(path: Path) -> bool:

@@ -16,7 +16,7 @@ from twin.io.cleaning import Raw, clean_optional, clean_output, hold
 from twin.io.clock import bridge_jumps, check_unit, spread_bursts, undo_counter_wraps
 from twin.io.faults import Fault, find_gaps
 from twin.io.joined import join_files
-from twin.io.manifest import Entry, entries_of
+from twin.io.manifest import Entry, entries_of, expand
 from twin.io.preflight.checks import examine, reversed_alone, slow_sensor
 from twin.io.preflight.finding import Finding, Severity
 from twin.io.preflight.response import Signals
@@ -268,6 +268,26 @@ def load(paths: Sequence[Path], rig: Path | None = None) -> tuple[list[Recording
     chosen = _choose_rig([Path(paths[0]), entries[0].path], rig)
     if rig is None:
         _check_one_rig([Path(p) for p in paths])
+    return _load(entries, chosen)
+
+
+def load_entries(entries: Sequence[Entry], rig: Path | None = None) -> tuple[list[Recording], Rig]:
+    """Load recordings of one axis that a list has told of, as `load` does; an entry may be a manifest itself.
+
+    Raises BadInput.
+    """
+    told = expand(entries)
+    for e in told:
+        if not e.path.exists():
+            raise BadInput(f"{e.path} does not exist: correct the name, or copy the file there")
+    chosen = _choose_rig([entries[0].path, told[0].path], rig)
+    if rig is None:
+        _check_one_rig([e.path for e in told])
+    return _load(told, chosen)
+
+
+def _load(entries: Sequence[Entry], chosen: Rig | None) -> tuple[list[Recording], Rig]:
+    """The recordings of these entries, read with one rig file, or with a guess where there is none."""
     opened: dict[Path, list[Table]] = {}
     recordings, sources = [], []
     for entry in entries:
