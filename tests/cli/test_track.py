@@ -27,7 +27,9 @@ def history(tmp_path: Path) -> Path:
         log = tmp_path / "logs" / f"day{i}.csv"
         log.write_text(f"t,duty,counts\n0,0,{i}\n")
         truth = [model.values[n] * (1.4 if n == "viscous_friction" and i > 2 else 1.0) for n in model.fitted]
-        values = rng.multivariate_normal(truth, model.covariance).tolist()
+        drawn = rng.multivariate_normal(truth, model.covariance)
+        bounds = [model.parameter(n) for n in model.fitted]
+        values = np.clip(drawn, [p.lower for p in bounds], [p.upper for p in bounds]).tolist()
         fit = model.with_values(dict(zip(model.fitted, values, strict=True)))
         (tmp_path / "out" / "fits" / f"{file_digest(log)}.toml").write_text(dumps(fit))
     return tmp_path

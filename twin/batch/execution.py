@@ -156,7 +156,7 @@ def run_on_cluster(work: Callable[[T], R], items: Sequence[T], address: str) -> 
             client.wait_for_workers(1, timeout=WORKER_TIME)
         except TimeoutError:
             raise BadInput(
-                f"the scheduler at {address} has no workers: start some with `dask worker {address} --nthreads 1`"
+                f"the scheduler at {address} has no workers: start some with `dask worker {address}`"
             ) from None
         try:
             client.run(importable)
