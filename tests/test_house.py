@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 #: A package of `twin` imports only from those that stand before it.
 ORDER = """errors parallel display effects io model codegen simulation fmi estimation control diagnosis report pipeline
-    batch testing cli __main__"""
+    batch web testing cli __main__"""
 TOP = {
     "pyproject.toml", "fmu_src", "twin", "tests", "models", "scripts", "README.md", "LICENSE", "CONTRIBUTING.md",
     "docs", ".ci", ".gitignore",

@@ -17,8 +17,9 @@ from example_diagnosis import RIG, example
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.report.explorer import explorer, packed, removable
+from twin.report.explorer import explorer, removable
 from twin.report.html import Story, html
+from twin.report.panels import packed
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = [

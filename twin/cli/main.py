@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from typing import NoReturn
 
-from twin.cli import control, cosim, diagnose, effects, export, fleet, identify, init, replay, run, track
+from twin.cli import control, cosim, diagnose, effects, export, fleet, identify, init, replay, run, serve, track
 from twin.cli.command import Command
 from twin.cli.output import printable
 from twin.errors import BadInput
@@ -36,6 +36,7 @@ COMMANDS: tuple[Command, ...] = (
     replay.CHECK,
     track.COMMAND,
     fleet.COMMAND,
+    serve.COMMAND,
     effects.COMMAND,
 )
 
@@ -53,6 +54,7 @@ EXAMPLES = {
     "check": "twin check arm.fmu --log recording.csv --max-nrmse 5",
     "track": "twin track model.toml monday.csv tuesday.csv --out history",
     "fleet": "twin fleet fleet.csv --out fleet",
+    "serve": "twin serve --port 8080",
     "effects": "twin effects gravity",
 }
 
