@@ -71,6 +71,9 @@ def test_a_payload_changes_inertia_and_not_the_weight_of_the_rest() -> None:
     over = dict.fromkeys(("input_gain", "viscous_friction", "coulomb_friction"), 0.5)
     found = compare_models(drawn(model, rng), drawn(model, rng, **over)).found
     assert {c.parameter for c in found} == {INERTIA, "gravity_gain"}
+    for c in found:  # gravity's torque doubles, though its share of the inertia, which the models hold, does not
+        assert (c.before, c.unit) == (1.0, "1") and c.interval[0] < 2.0 < c.interval[1]
+        assert "times what it was" in c.says
 
 
 def test_what_a_fit_cannot_fix_is_said_to_be_that() -> None:

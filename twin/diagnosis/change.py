@@ -57,7 +57,7 @@ class Change:
     parameter : str
         Its name, or "inertia_ratio" where all torques over the inertia changed together.
     before, after : float
-        Values, in `unit`; of the inertia 1 and the ratio.
+        Values, in `unit`; of the inertia, and of a torque where the inertia changed with it, 1 and the ratio.
     interval : tuple of float
         95 % interval of `after`.
     unit : str
@@ -233,7 +233,7 @@ def compare_models(before: Model, after: Model, false_alarms: float = FALSE_ALAR
     left, sizes, known = _left(d, information, _columns(directions, chosen, len(d)))
     by_name = dict(zip(names, coordinates, strict=True))
     found = [
-        _change(name, float(sizes[i]), math.sqrt(known[i, i]), by_name, after, rivals[name])
+        _change(name, (float(sizes[i]), math.sqrt(known[i, i])), by_name, after, rivals[name], INERTIA in chosen)
         for i, name in enumerate(chosen)
     ]
     chi_square = float(d @ information @ d)
@@ -301,18 +301,30 @@ def _chosen(
 
 
 def _change(
-    name: str, size: float, std: float, coordinates: Mapping[str, _Coordinate], after: Model, rivals: tuple[str, ...]
-) -> Change:
-    """A direction and its size, put into words."""
+    name: str, found: tuple[float, float], coordinates: Mapping[str, _Coordinate], after: Model,
+    rivals: tuple[str, ...], other_inertia: bool,
+) -> Change:  # fmt: skip
+    """A direction and its size with its standard error, put into words.
+
+    Where the inertia changed, too, what stands over it is no longer what either model holds: its torque is told.
+    """
+    size, std = found
     ends = (size - 1.96 * std, size + 1.96 * std)
     if name == INERTIA:
         ratio, low, high = (math.exp(v) for v in (size, *ends))
         says = f"the inertia is {ratio:.3g} times what it was ({low:.3g} to {high:.3g})"
         return Change(name, 1.0, ratio, (low, high), "1", says, rivals)
     c = coordinates[name]
+    if other_inertia and c.per_inertia and c.by_ratio:
+        ratio, low, high = (math.exp(v) for v in (size, *ends))
+        shown = name.removesuffix("_gain").replace("_", " ")
+        says = f"the torque of the {shown} is {ratio:.3g} times what it was ({low:.3g} to {high:.3g})"
+        return Change(name, 1.0, ratio, (low, high), "1", says, rivals)
     value, low, high = (c.moved(v) for v in (size, *ends))
     unit = after.unit(name)
     shown = "" if unit == "1" else f" {unit}"
     grew = "grew" if abs(value) > abs(c.before) else "fell"
     says = f"the {name.replace('_', ' ')} {grew} from {c.before:.3g} to {value:.3g}{shown} ({low:.3g} to {high:.3g})"
+    if other_inertia and c.per_inertia:
+        says += " over the inertia that was"
     return Change(name, c.before, value, (low, high), unit, says, rivals)
