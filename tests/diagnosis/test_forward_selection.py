@@ -59,129 +59,6 @@ def test_an_elastic_joint_and_teeth_are_one_spring() -> None:
     assert hardest_joint == softest_teeth
 
 
-def test_what_only_a_long_memory_prefers_does_not_show(monkeypatch) -> None:
-    """A gain that a filter of a shorter memory takes back is that of bounces, not of physics."""
-    case = prepared_recording.prepare_recording(
-        Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
-    )
-    memory = 0.1
-    process_noise = filter_memory.process_noise_of(case, memory)
-    point = fit.Fit(Structure.of(BASE), {}, process_noise, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
-    larger = replace(point, values={"gain": 1.0}, deviance=-10.0 * thresholds.MIN_GAIN)
-
-    # A motor that rattles, and meetings of it that are all foreseen.
-    monkeypatch.setattr(model_comparison, "overdispersion", lambda points: thresholds.WHITE_OVERDISPERSION)
-    monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: cases)
-
-    def judged(better_until: float):
-        def climb(problem, structure, values, free, rounds, tolerance):
-            shorter = memory / filter_memory.memory_of(case, problem.process_noise)
-            return replace(point, deviance=0.0 if not values else -1.0 if shorter < better_until else 1.0)
-
-        monkeypatch.setattr(optimizer, "levenberg_marquardt", climb)
-        return selection_round.is_confirmed(FitProblem([case]), point, larger)
-
-    assert judged(8.0)
-    assert not judged(3.0) and not judged(1.5)
-
-
-def test_a_slow_torque_has_to_do_no_more_than_a_shorter_memory_leaves_of_it(monkeypatch) -> None:
-    """Where a filter finds innovations white, a sixteenth of what one of twice its memory gave is all that is left."""
-    case = prepared_recording.prepare_recording(
-        Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
-    )
-    process_noise = filter_memory.process_noise_of(case, 0.1)
-    point = fit.Fit(Structure.of(BASE), {}, process_noise, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
-    gain = 10.0 * thresholds.MIN_GAIN
-    larger = replace(point, values={"gain": 1.0}, deviance=-gain)
-    monkeypatch.setattr(
-        model_comparison,
-        "overdispersion",
-        lambda points: thresholds.WHITE_OVERDISPERSION if points[0].process_noise == process_noise else 1.0,
-    )
-    monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: cases)
-    for left, shown in ((gain / 15.0, True), (gain / 17.0, False)):
-
-        def climb(problem, structure, values, free, rounds, tolerance, left=left):
-            shortest = filter_memory.memory_of(case, problem.process_noise) < 0.03
-            better = 1.0 if shortest else -left
-            return replace(point, process_noise=problem.process_noise, deviance=better if values else 0.0)
-
-        monkeypatch.setattr(optimizer, "levenberg_marquardt", climb)
-        assert left < thresholds.MIN_GAIN
-        assert selection_round.is_confirmed(FitProblem([case]), point, larger) is shown
-
-
-@pytest.mark.parametrize(
-    ("before", "left", "shown"),
-    [
-        (40.0, 1.5, True),
-        (40.0, 0.0, True),
-        (40.0, -0.5, False),
-        (64.0, 1.0, False),
-        (20.0, 1.5, False),
-        (40.0, 4.0, True),
-        (64.0, 4.0, True),
-    ],
-)
-def test_a_filter_that_can_know_too_little_vetoes_nothing_that_was_sure(monkeypatch, before, left, shown) -> None:
-    """A sixteenth of 40 is less than a parameter's price, and as likely as not to look like nothing; one of 64 is not,
-    and 20 was not sure at twice the memory.
-    """
-    case = prepared_recording.prepare_recording(
-        Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
-    )
-    process_noise = filter_memory.process_noise_of(case, 0.1)
-    point = fit.Fit(Structure.of(BASE), {}, process_noise, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
-    larger = replace(point, values={"gain": 1.0}, free=("gain",), deviance=-16.0 * before)
-
-    def short(at: float) -> bool:
-        return filter_memory.memory_of(case, at) < 0.03
-
-    def climb(problem, structure, values, free, rounds, tolerance):
-        gained = left if short(problem.process_noise) else before
-        return replace(
-            larger if values else point, process_noise=problem.process_noise, deviance=-gained if values else 0.0
-        )
-
-    monkeypatch.setattr(
-        model_comparison,
-        "overdispersion",
-        lambda points: 1.0 if short(points[0].process_noise) else thresholds.WHITE_OVERDISPERSION,
-    )
-    monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: cases)
-    monkeypatch.setattr(optimizer, "levenberg_marquardt", climb)
-    assert selection_round.is_confirmed(FitProblem([case]), point, larger) is shown
-
-
-@pytest.mark.parametrize(("left", "shown"), [(-1.0, False), (2.0, False), (5.0, True)])
-def test_a_curve_pays_for_its_knots_once(monkeypatch, left, shown) -> None:
-    """A shorter memory, to which a slow torque is a sixteenth, is asked whether it is there, not for twelve prices."""
-    case = prepared_recording.prepare_recording(
-        Recording("still", 0.002 * np.arange(50), np.full(50, 30.0), np.zeros(50), "%", "rad", 1e-4), Structure.of(BASE)
-    )
-    process_noise = filter_memory.process_noise_of(case, 0.1)
-    point = fit.Fit(Structure.of(BASE), {}, process_noise, (), 0.0, 1.0, np.eye(0), np.zeros(0), np.eye(0))
-    knots = tuple(f"knot_{i}" for i in range(12))
-    larger = replace(point, values={"gain": 1.0}, free=knots, deviance=-10.0 * thresholds.MIN_GAIN)
-    monkeypatch.setattr(
-        model_comparison,
-        "overdispersion",
-        lambda points: thresholds.WHITE_OVERDISPERSION if points[0].process_noise == process_noise else 1.0,
-    )
-    monkeypatch.setattr(model_comparison, "is_significant", lambda *args: True)
-    monkeypatch.setattr(contact_masking, "with_contact_mask", lambda cases, point: cases)
-    monkeypatch.setattr(thresholds, "GAIN_KEPT_AT_HALF_MEMORY", 1.0 / 64.0)
-
-    def climb(problem, structure, values, free, rounds, tolerance):
-        return replace(
-            larger if values else point, process_noise=problem.process_noise, deviance=-left if values else 0.0
-        )
-
-    monkeypatch.setattr(optimizer, "levenberg_marquardt", climb)
-    assert selection_round.is_confirmed(FitProblem([case]), point, larger) is shown
-
-
 def test_what_a_rough_likelihood_gives_anywhere_is_no_gain(monkeypatch) -> None:
     """A gain counts for what it is above the changes that next to nothing makes."""
     structure = Structure.of(["inertia", "viscous_friction", "backlash"])
@@ -547,35 +424,6 @@ def test_what_could_stand_for_an_effect_goes_with_it_where_a_larger_one_takes_it
     assert {w.effect for w in kept} <= set(best.structure.named)
 
 
-def test_what_did_not_last_is_followed_by_another_look(monkeypatch) -> None:
-    """The first round's winner may have kept out what is there: once it is pruned, the others are asked again."""
-    nothing = np.eye(0)
-    base = fit.Fit(Structure.of(BASE), {}, 1.0, (), 3000.0, 1.0, nothing, np.zeros(0), nothing)
-    wave, push = (replace(base, structure=base.structure.with_(e)) for e in ("gravity", "constant_offset"))
-    grown, asked = iter([wave, push]), []
-
-    def grow(problem, best, candidates, tell, most):
-        asked.append(best)
-        return next(grown), []
-
-    monkeypatch.setattr(
-        forward_selection.multistart, "coarse_starts", lambda recordings, first, held: (FitProblem([]), [base])
-    )
-    monkeypatch.setattr(forward_selection.multistart, "fit_from_starts", lambda cases, structure, begun: base)
-    monkeypatch.setattr(forward_selection.multistart, "leave_local_optima", lambda cases, point: (cases, point))
-    monkeypatch.setattr(local_optima, "judging_process_noise", lambda cases, point: 1.0)
-    monkeypatch.setattr(local_optima, "refit", lambda problem, structure, values: base)
-    monkeypatch.setattr(forward_selection.screening, "testable_candidates", lambda cases, candidates: candidates)
-    monkeypatch.setattr(forward_selection, "_add_effects", grow)
-    monkeypatch.setattr(
-        forward_selection, "_prune", lambda cases, best, begun: (base if best is wave else best, [base])
-    )
-    monkeypatch.setattr(forward_selection, "refine_with_short_memory", lambda found, candidates: found)
-    found = forward_selection.search([], base.structure, {})
-    assert asked == [base, base]
-    assert found.last is push
-
-
 def test_a_delay_is_judged_where_a_few_steps_from_its_start_lead() -> None:
     """Beside its valley a delay looks worse than none; what it promises is what it has once it is inside."""
     rng = np.random.default_rng(8)
@@ -615,46 +463,6 @@ def fitted(deviance: float, *effects: str, unit: float = 1.0) -> fit.Fit:
 
 def hypothesis(deviance: float, *effects: str, unit: float = 1.0) -> selection_round.Hypothesis:
     return selection_round.Hypothesis(effects[-1:], fitted(deviance, *effects, unit=unit))
-
-
-@pytest.mark.parametrize("deviance", [-9000.0, -5000.0])
-def test_the_search_begins_anew_with_what_had_earned_as_much_by_itself(monkeypatch, deviance: float) -> None:
-    """What says the same again and again does more for the deviance than what is there, and leads astray."""
-    first = fitted(0.0, unit=100.0)
-    joint, delay, lag = (
-        hypothesis(-6000.0, "joint_elasticity", unit=100.0),
-        hypothesis(-3000.0, "input_delay", unit=20.0),
-        hypothesis(-4000.0, "motor_lag", unit=100.0),
-    )
-    this = selection_round.Round(first, (joint, delay, lag), 100.0)
-    ends = {"joint_elasticity": joint.point, "input_delay": fitted(deviance, "motor_lag", "input_delay", unit=20.0)}
-    begun = []
-
-    def climbed(problem, best, rounds, structure, candidates, tell):
-        begun.append([r.rivals[0].added[0] for r in rounds])
-        return forward_selection.SearchResult(
-            first, ends[begun[-1][0] if rounds else "joint_elasticity"], tuple(rounds) or (this,), FitProblem(())
-        )
-
-    monkeypatch.setattr(
-        forward_selection.multistart, "coarse_starts", lambda recordings, first, held: (FitProblem([]), [first])
-    )
-    monkeypatch.setattr(forward_selection.multistart, "fit_from_starts", lambda cases, structure, begun: first)
-    monkeypatch.setattr(forward_selection.multistart, "leave_local_optima", lambda cases, point: (cases, point))
-    monkeypatch.setattr(forward_selection.contact_masking, "without_contact_mask", lambda cases: cases)
-    monkeypatch.setattr(local_optima, "judging_process_noise", lambda cases, point: 1.0)
-    monkeypatch.setattr(local_optima, "refit", lambda problem, structure, values: first)
-    monkeypatch.setattr(forward_selection.screening, "testable_candidates", lambda cases, candidates: candidates)
-    monkeypatch.setattr(selection_round, "is_confirmed", lambda cases, before, after: True)
-    monkeypatch.setattr(forward_selection, "_search_from", climbed)
-    monkeypatch.setattr(forward_selection, "_offset_for_dead_bands", lambda cases, best, candidates: [])
-    monkeypatch.setattr(
-        forward_selection, "_containing_alternatives", lambda cases, best, first, candidates, rounds: []
-    )
-    monkeypatch.setattr(forward_selection, "refine_with_short_memory", lambda found, candidates: found)
-    found = forward_selection.search([], first.structure, {})
-    assert begun == [[], ["input_delay"]]
-    assert found.last is ends["input_delay" if deviance < -6000.0 else "joint_elasticity"]
 
 
 def test_what_the_search_begins_anew_with_shows_by_itself_and_had_not_been_refused(monkeypatch) -> None:
@@ -708,78 +516,6 @@ def test_the_end_that_lost_by_one_effect_could_stand_in_its_place(deviance: floa
     assert forward_selection._better_search(FitProblem(()), searches[0], longer) is searches[0]
 
 
-def test_a_lost_round_is_looked_at_with_a_filter_that_remembers_longer_than_the_model_is_right(monkeypatch) -> None:
-    recording = Recording("none", 0.002 * np.arange(500), np.zeros(500), np.zeros(500), "%", "rad", 1e-4)
-    cases = [prepared_recording.prepare_recording(recording, Structure.of(BASE))]
-    short, long = (
-        filter_memory.process_noise_of(cases[0], memory) for memory in (local_optima.MIN_MEMORY, thresholds.LONG_MEMORY)
-    )
-    before, asked = replace(fitted(0.0), process_noise=short), {"density": 4.0 * short}
-    lost = selection_round.Round(before, (hypothesis(-10.0, "spring"),), 1.0, False)
-    plain, seen = hypothesis(-2.0 * thresholds.MIN_GAIN_AT_OTHER_MEMORY, "spring"), []
-
-    def contest(cases, base, candidates):
-        assert base.process_noise == long and set(candidates) == set(selection_round.SLOW_EFFECTS)
-        return seen
-
-    def compete(problem, base, known, candidates):
-        assert list(known) == seen and set(candidates) == set(selection_round.SLOW_EFFECTS)
-        return selection_round.Round(base, tuple(known), 1.0, True)
-
-    monkeypatch.setattr(
-        local_optima, "refit", lambda problem, *rest: replace(before, process_noise=problem.process_noise)
-    )
-    monkeypatch.setattr(
-        optimizer, "most_likely_process_noise", lambda cases, structure, values, around: asked["density"]
-    )
-    monkeypatch.setattr(selection_round, "screen_candidates", contest)
-    monkeypatch.setattr(selection_round, "run_round", compete)
-    seen[:] = [plain]
-    found = selection_round.retry_with_long_memory(FitProblem(cases), lost, CANDIDATES)
-    assert found.won and found.rivals == (plain,) and found.before.process_noise == long
-    # What any filter with so long a memory may see by chance is nothing.
-    seen[:] = [hypothesis(-0.8 * thresholds.MIN_GAIN_AT_OTHER_MEMORY, "spring")]
-    assert selection_round.retry_with_long_memory(FitProblem(cases), lost, CANDIDATES) is lost
-    # A round that is won, no slow torque on offer, a memory as long, a model that is right for longer: nothing to ask.
-    monkeypatch.setattr(selection_round, "screen_candidates", None)
-    won, longest = replace(lost, won=True), replace(lost, before=replace(before, process_noise=long))
-    assert selection_round.retry_with_long_memory(FitProblem(cases), won, CANDIDATES) is won
-    assert selection_round.retry_with_long_memory(FitProblem(cases), lost, ("torque_ripple",)) is lost
-    assert selection_round.retry_with_long_memory(FitProblem(cases), longest, CANDIDATES) is longest
-    asked["density"] = 0.9 * short
-    assert selection_round.retry_with_long_memory(FitProblem(cases), lost, CANDIDATES) is lost
-
-
-@pytest.mark.parametrize(("alone", "again"), [(-100.0, True), (-9000.0, False)])
-def test_what_is_far_behind_the_one_that_it_is_taken_for_is_tried_in_its_place(monkeypatch, alone, again) -> None:
-    """Not so what is near it already, and what nobody takes for it."""
-    seen = [hypothesis(-9500.0, "gravity"), hypothesis(alone, "constant_offset"), hypothesis(-90.0, "motor_lag")]
-    asked = []
-
-    def instead(problem, winner, structure, effect):
-        asked.append((winner.added, effect))
-        return hypothesis(-9990.0, effect)
-
-    monkeypatch.setattr(selection_round, "screen_candidates", lambda *rest: seen)
-    monkeypatch.setattr(selection_round, "_fit_followers", lambda *rest: [])
-    monkeypatch.setattr(selection_round, "_fit_beside_free_motion", lambda *rest: [])
-    monkeypatch.setattr(selection_round, "_refit_hypotheses", lambda cases, found, *rest: list(found))
-    monkeypatch.setattr(selection_round, "_fit_in_place_of_winner", instead)
-    monkeypatch.setattr(selection_round, "is_plausible", lambda *rest: True)
-    monkeypatch.setattr(local_optima, "refit", lambda *rest: fitted(0.0))
-    monkeypatch.setattr(local_optima, "refit_through_best_noise", lambda cases, point: point)
-    monkeypatch.setattr(selection_round, "_fit_on_other_gap_side", lambda *rest: [])
-    monkeypatch.setattr(
-        selection_round,
-        "_decide_round",
-        lambda cases, before, found: selection_round.Round(before, tuple(found), 1.0),
-    )
-    found = selection_round.run_round(FitProblem(()), fitted(0.0), (), ("gravity", "constant_offset", "motor_lag"))
-    assert asked == ([(("gravity",), "constant_offset")] if again else [])
-    best = {h.added[0]: h.deviance for h in found.rivals}
-    assert best == {"gravity": -9500.0, "constant_offset": -9990.0 if again else alone, "motor_lag": -90.0}
-
-
 @pytest.mark.parametrize("stiffness", [3e-4, 0.0])
 def test_a_slow_torque_is_found_beside_a_fast_one_that_nobody_looks_for(monkeypatch, stiffness: float) -> None:
     """A shaking that is no candidate drowns within a tenth of a second what a weak spring does."""
@@ -812,32 +548,6 @@ def test_a_slow_torque_is_found_beside_a_fast_one_that_nobody_looks_for(monkeypa
     else:
         assert found.won and found.rivals[0].added == ("spring",)
         assert found.rivals[0].point.values["spring_stiffness"] == pytest.approx(stiffness, rel=0.1)
-
-
-@pytest.mark.parametrize(("alone", "late", "effects"), [(0, 0, 0), (2, 0, 2), (2, 1, 3), (6, 0, 4), (6, 1, 4)])
-def test_no_more_effects_than_that_are_looked_for(monkeypatch, alone: int, late: int, effects: int) -> None:
-    """So many earn a place, and one more after a lost round, with a filter over whose memory nothing else competes."""
-    names = ("spring", "motor_lag", "gravity", "input_delay", "supply_sag", "thermal_fade")
-    points = [fitted(-100.0 * n, *names[:n]) for n in range(len(names) + 1)]
-
-    def following(before: fit.Fit, won: bool) -> selection_round.Round:
-        n = len(before.structure.named)
-        return selection_round.Round(before, (selection_round.Hypothesis((names[n],), points[n + 1]),), 1.0, won)
-
-    def compete(problem, before, known, candidates):
-        return following(before, len(before.structure.named) < alone)
-
-    def slower(problem, this, candidates):
-        return following(this.before, True) if late and not this.won else this
-
-    monkeypatch.setattr(selection_round, "run_round", compete)
-    monkeypatch.setattr(selection_round, "retry_with_long_memory", slower)
-    monkeypatch.setattr(local_optima, "refit_at_own_noise", lambda cases, point: point)
-    monkeypatch.setattr(local_optima, "restart_gap", lambda cases, point: point)
-    monkeypatch.setattr(forward_selection, "_plain_winner", lambda cases, this: this.rivals[0].point)
-    monkeypatch.setattr(forward_selection, "is_plausible", lambda cases, point, before: True)
-    best, rounds = forward_selection._add_effects(FitProblem(()), points[0], names, lambda sentence, share: None)
-    assert len(best.structure.named) == effects == sum(r.won for r in rounds) <= thresholds.MAX_EFFECTS
 
 
 @pytest.mark.parametrize("friction", [2.0, 0.0])
@@ -880,44 +590,6 @@ def test_of_two_effects_that_hide_each_other_one_is_taken_on_credit(friction: fl
     ).won
 
 
-def test_what_gains_much_with_a_rattling_motor_is_tried_with_the_smaller_model_s(monkeypatch) -> None:
-    """The place that earns most is taken, not the likeliest: of what a rattle likes nobody can be sure."""
-    before = fitted(0.0, "periodic_disturbance")
-    smaller = replace(before, values={"input_gain": 0.3, "motor_share": 0.4})
-    wild = fitted(-1e4, "periodic_disturbance", "gravity", unit=1e3)
-    wild = replace(wild, values={"input_gain": 0.5, "motor_share": 0.02})
-    asked = []
-
-    def settle(problem, structure, values):
-        asked.append(values)
-        return fitted(-9e3, "periodic_disturbance", "gravity", unit=10.0)
-
-    monkeypatch.setattr(local_optima, "refit", settle)
-    monkeypatch.setattr(local_optima, "restart_gap", lambda cases, point: point)
-    sounder = selection_round._restart_for_gain(FitProblem(()), smaller, wild)
-    assert asked == [{"input_gain": 0.5, "motor_share": 0.4}] and sounder.deviance == -9e3
-    monkeypatch.setattr(local_optima, "refit", lambda *given: fitted(-9e3, "periodic_disturbance", "gravity", unit=1e4))
-    assert selection_round._restart_for_gain(FitProblem(()), smaller, wild) is wild
-
-
-@pytest.mark.parametrize("gain", [0.9, 0.09])
-def test_what_would_earn_by_its_own_unit_is_tried_in_a_sounder_place_too(monkeypatch, gain: float) -> None:
-    """The round's unit is that of the best, and may be ten times another's; what earns by neither is left alone."""
-    best, other = fitted(-1e4, "gravity"), fitted(-gain * 10.0 * thresholds.MIN_GAIN, "motor_lag")
-    rivals, moved = [selection_round.Hypothesis(p.structure.named, p) for p in (best, other)], []
-
-    def sounder(problem, before, point):
-        moved.append(point.structure.named)
-        return point
-
-    monkeypatch.setattr(model_comparison, "overdispersion", lambda points: 10.0 if best in points else 1.0)
-    monkeypatch.setattr(selection_round, "is_plausible", lambda *rest: True)
-    monkeypatch.setattr(selection_round, "_test_against_smaller", lambda cases, before, h: (before, False))
-    monkeypatch.setattr(selection_round, "_restart_for_gain", sounder)
-    assert not selection_round._decide_round(FitProblem(()), fitted(0.0), rivals).won
-    assert moved == [("gravity",), ("motor_lag",)][: 2 if gain > 0.1 else 1]
-
-
 @pytest.mark.parametrize("behind", [0.0, 1.0])
 def test_a_lag_is_tried_on_the_other_side_of_the_dead_band(behind: float) -> None:
     """Whichever side a few steps had chosen; what acts on no side is left as it is."""
@@ -952,35 +624,3 @@ def test_a_lag_is_tried_on_the_other_side_of_the_dead_band(behind: float) -> Non
         )
         == []
     )
-
-
-@pytest.mark.parametrize("lag", [-140.0, -80.0])
-def test_what_goes_may_stand_in_the_place_of_what_stays(monkeypatch, lag: float) -> None:
-    """Of a lag and a delay that do the same the lag goes; alone it fits better than the delay, or nearly as well."""
-    first, joint = fitted(0.0), fitted(-85.0, "joint_elasticity")
-    both, delay = fitted(-150.0, "motor_lag", "input_delay"), fitted(-90.0, "input_delay")
-    other = fitted(lag, "motor_lag")
-    monkeypatch.setattr(local_optima, "held_values", lambda point: {})
-    monkeypatch.setattr(local_optima, "refit", lambda *rest: delay)
-    monkeypatch.setattr(local_optima, "best_refit", lambda *rest: joint)
-    monkeypatch.setattr(forward_selection, "_prune", lambda cases, best, begun: (best, [begun]))
-    monkeypatch.setattr(
-        forward_selection,
-        "_alternatives",
-        lambda *rest: [forward_selection.Alternative("input_delay", "motor_lag", other)],
-    )
-    told = (
-        forward_selection.Alternative(
-            "input_delay", "joint_elasticity", fitted(-140.0, "motor_lag", "joint_elasticity")
-        ),
-    )
-    found = forward_selection.drop_effects(
-        forward_selection.SearchResult(first, both, (), FitProblem(()), alternatives=told), ["motor_lag"], {}
-    )
-    alike = {(w.effect, w.rival): w.point for w in found.alternatives}
-    if lag < delay.deviance:
-        assert found.last is other and alike == {("motor_lag", "input_delay"): delay}
-    else:
-        assert found.last is delay
-        assert alike == {("input_delay", "motor_lag"): other, ("input_delay", "joint_elasticity"): joint}
-    assert found.smaller_models == (first,)

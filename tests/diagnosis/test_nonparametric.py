@@ -28,7 +28,6 @@ from twin.effects.knots import KNOTS, held, line, names, spots, through
 from twin.estimation import (
     contact_masking,
     filter_memory,
-    likelihood,
     local_optima,
     maximum_likelihood,
     optimizer,
@@ -292,21 +291,6 @@ def test_what_a_filter_learns_after_a_silence_is_no_missing_torque():
     assert np.nanmax(np.abs(seen[after])) < 2.0 * np.nanmax(np.abs(usual))
 
 
-@pytest.mark.parametrize(("unit", "count", "angles"), [("rad", 2, True), ("rad/s", 1, True), ("rad/s", 2, False)])
-def test_no_curve_over_angles_that_nobody_knows(monkeypatch, unit: str, count: int, angles: bool) -> None:
-    """Each of several recordings of speed begins at its own."""
-    case, point = fitted("nothing")
-    case = prepared_recording.prepare_recording(replace(case.recording, output_unit=unit), STRUCTURE)
-    asked: list[CurveTerm] = []
-    monkeypatch.setattr(nonparametric, "candidate_terms", lambda one: [CurveTerm("angle", 3.0), CurveTerm("velocity")])
-    monkeypatch.setattr(nonparametric, "sketch_curve", lambda cases, base, term: asked.append(term) or base)
-    monkeypatch.setattr(nonparametric, "fit_curve", lambda cases, p: p)
-    diagnose._best_curve(
-        SearchResult(point, point, (), FitProblem(count * (case,))), left(0.3, 0.0, 0.4), left(0.3, 0.0, 0.4), {}
-    )
-    assert CurveTerm("velocity") in asked and (CurveTerm("angle", 3.0) in asked) is angles
-
-
 def test_bump_over_position_is_found_and_drawn():
     case, base = fitted("bump")
     before = nonparametric.remaining_dependence(case, base.structure, base.values)
@@ -486,31 +470,6 @@ def test_a_name_that_two_stretches_speak_for_is_dropped(monkeypatch):
         assert all(n.figure > thresholds.NAME_MAX_P_VALUE for n in failed)
 
 
-def test_of_two_names_that_do_the_same_one_is_dropped(monkeypatch):
-    """Beside the other neither foretells anything; by itself the one that is there does."""
-    case, first = fitted("drag")
-    both = with_name(case, first, "quadratic_drag", "friction_asymmetry")
-    swaps = (Alternative("quadratic_drag", "gravity", both), Alternative("friction_asymmetry", "constant_offset", both))
-    found = SearchResult(first, both, (), FitProblem((case,)), (first,), swaps)
-    monkeypatch.setattr(diagnose, "_idle_names", lambda cases, sharp, first: [])
-    monkeypatch.setattr(diagnose.acceptance, "not_borne_out", lambda *rest: None)
-    asked = []
-
-    def chances(found, first):
-        asked.append(found.last.structure.named)
-        beside = {"quadratic_drag": 0.4, "friction_asymmetry": 0.5}
-        return beside if len(asked) == 1 else {"quadratic_drag": 1e-6}
-
-    monkeypatch.setattr(diagnose, "_name_p_values", chances)
-    lasting, _, _ = diagnose._drop_unearned_names(found, first.structure)
-    assert "quadratic_drag" in lasting.last.structure and "friction_asymmetry" not in lasting.last.structure
-    assert asked == [both.structure.named, lasting.last.structure.named]
-    # It is held against its absence, and what could stand in its place does so without the other, too.
-    assert any("quadratic_drag" not in q.structure for q in lasting.smaller_models)
-    assert [w.rival for w in lasting.alternatives] == ["gravity"]
-    assert "friction_asymmetry" not in lasting.alternatives[0].point.structure
-
-
 @pytest.mark.parametrize(("key", "kept"), [("nothing", False), ("drag", True)])
 def test_a_name_that_a_longer_memory_makes_nothing_of_is_not_given(key, kept):
     case, first = fitted(key)
@@ -601,34 +560,6 @@ def test_a_knot_that_saw_nothing_that_is_judged_is_on_the_line_between_its_neigh
     blind = replace(case, rattle_mask=np.ones(len(time), dtype=bool))
     missing = residual_torque.missing_torque(case, first.structure, first.values)
     assert nonparametric._masked_torque(blind, missing) is missing
-
-
-def test_names_learn_from_a_curve_where_it_found_a_better_place(monkeypatch):
-    """Held against the curve they are as good as they can be, on either side of a gap."""
-    case, first = fitted("drag")
-    best = with_name(case, first, "quadratic_drag")
-    nameless = with_curve([case], first, CurveTerm("velocity"))
-    astray = {**best.values, "viscous_friction": 3.0 * best.values["viscous_friction"]}
-    last = likelihood.evaluate(FitProblem([case], process_noise=best.process_noise), best.structure, astray, best.free)
-    assert model_comparison.is_significant(last, nameless)
-    learned = diagnose._restart_from_curve(SearchResult(first, last, (), FitProblem((case,))), nameless)
-    assert learned.last.structure == best.structure
-    assert learned.last.deviance == pytest.approx(best.deviance, abs=1.0)
-    # What it is held against begins there, too.
-    assert (
-        learned.smaller_models[0].deviance == pytest.approx(first.deviance, abs=1.0)
-        and learned.smaller_models[-1] is first
-    )
-    near = SearchResult(first, best, (), FitProblem((case,)))
-    assert diagnose._restart_from_curve(near, nameless) is near
-    begun = []
-    monkeypatch.setattr(diagnose.local_optima, "refit", lambda c, s, values: begun.append(values) or best)
-    monkeypatch.setattr(diagnose.forward_selection, "with_last_model", lambda found, last: found)
-    sided = replace(last, free=(*last.free, "shaft_share"), values={**last.values, "shaft_share": 0.9})
-    monkeypatch.setattr(model_comparison, "is_significant", lambda before, after: True)
-    diagnose._restart_from_curve(SearchResult(first, sided, (), FitProblem((case,))), nameless)
-    assert [v["shaft_share"] for v in begun] == [0.9, 0.0, 1.0]
-    assert {v["input_gain"] for v in begun} == {nameless.values["input_gain"]}
 
 
 def test_a_name_that_a_curve_has_swallowed_grows_again_beside_it():

@@ -25,7 +25,7 @@ from twin.diagnosis.forward_selection import Alternative, SearchResult
 from twin.diagnosis.result import Diagnosis, Fitness
 from twin.diagnosis.selection_round import Hypothesis, Round
 from twin.diagnosis.thresholds import UNDECIDED_MARGIN
-from twin.estimation import filter_memory, local_optima, maximum_likelihood, optimizer, prepared_recording
+from twin.estimation import filter_memory, maximum_likelihood, optimizer, prepared_recording
 from twin.estimation.fit import Fit
 from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording
@@ -205,22 +205,6 @@ def test_a_round_that_nothing_won_says_nothing_of_what_later_took_a_place():
     rounds = [Round(point(3000.0), first, 1.0), Round(joint, others, 1.0, won=False)]
     contest = forward_selection.round_margin(rounds, Structure.of([*BASE, "motor_lag"]), "motor_lag")
     assert [(h.added, behind) for h, behind in contest.rivals] == [(("input_delay",), -4.0)]
-
-
-@pytest.mark.parametrize(("reached", "shows", "kept"), [(995.0, True, 1), (995.0, False, 0), (2000.0, False, 1)])
-def test_a_rival_takes_the_place_only_of_what_it_shows_without(monkeypatch, reached, shows, kept):
-    """It may be better by the likelihood and still be the bounces' doing; far behind it need not be asked."""
-    before, last, rival = point(3000.0), point(1000.0, "spring"), point(reached, "gravity")
-    close = Round(before, (Hypothesis(("spring",), last), Hypothesis(("gravity",), point(1010.0, "gravity"))), 1.0)
-    asked = []
-    monkeypatch.setattr(forward_selection, "is_plausible", lambda cases, p, before: True)
-    monkeypatch.setattr(local_optima, "refit", lambda problem, structure, values: rival)
-    monkeypatch.setattr(local_optima, "refit_through_best_noise", lambda cases, p: p)
-    monkeypatch.setattr(
-        forward_selection.selection_round, "is_confirmed", lambda cases, without, p: asked.append(without) or shows
-    )
-    swaps = forward_selection._alternatives(FitProblem(()), last, before.structure, [before], [close])
-    assert len(swaps) == kept and asked == ([before] if reached < 1000.0 + UNDECIDED_MARGIN else [])
 
 
 def test_a_rattling_rig_is_said_to_hide_effects(monkeypatch):
