@@ -348,9 +348,9 @@ def test_a_candidate_moves_nothing_that_is_held() -> None:
     before = local_optima.refit(
         FitProblem(cases, known, process_noise=filter_memory.process_noise_of(cases[0], 0.1)), structure, values
     )
-    trials = screening.trial_grids(FitProblem(cases), before.structure, before.values)["joint_elasticity"]
+    trials = screening.trial_grids(FitProblem(cases, known), before.structure, before.values)["joint_elasticity"]
     assert all(known.keys() <= row.keys() for row in trials)
-    (entry,) = screening.score_candidates(FitProblem(cases), before, {"joint_elasticity": trials})
+    (entry,) = screening.score_candidates(FitProblem(cases, known), before, {"joint_elasticity": trials})
     assert all(known.items() <= place.items() for place in entry.places)
 
 
@@ -378,7 +378,7 @@ def test_a_start_is_looked_for_in_parts_of_a_long_recording_unless_it_lies_at_a_
     read, evaluate = [], likelihood.evaluate
 
     def looked(seen, *rest):
-        read.append(sum(len(case.drive.time) for case in seen))
+        read.append(sum(len(case.drive.time) for case in seen.recordings))
         return evaluate(seen, *rest)
 
     monkeypatch.setattr(likelihood, "evaluate", looked)
