@@ -8,8 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from twin.effects.catalogue import UNKNOWN
+from twin.model import stepper
 from twin.model.fitted_model import Model
-from twin.model.stepper import EVERYTHING, Structure
+from twin.model.stepper import Structure
 from twin.simulation import kernel
 
 VALUES = {
@@ -50,6 +52,11 @@ VALUES = {
     "disturbance_frequency": 0.7,
     "unknown_swing_share": 0.1,
 }
+#: Every effect that has a name, and a curve of each kind: knots, waves, and what has a state. The other curves are the
+#: same text over other variables, which takes a compiler with sanitizers minutes.
+EVERYTHING = stepper.EVERYTHING.without(
+    *set(UNKNOWN) - {"unknown_position", "unknown_angle", "unknown_bend", "unknown_swing"}
+)
 #: With compliance there is no rigid contact, without it there is: both are needed to have every effect on.
 RIGID = EVERYTHING.without("joint_elasticity", "tooth_compliance")
 NAMES = ("position", "velocity", "position_measured", "gap", "motor_velocity", "lag", "heat", "bend", "ride",

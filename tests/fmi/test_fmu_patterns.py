@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from native_axis import NAMES, PERIOD, RIGID, by_kernel, command, model_of
+from native_axis import EVERYTHING, NAMES, PERIOD, RIGID, by_kernel, command, model_of
 
 from twin.fmi import compilers, python_fmu
 from twin.fmi.fmu_archive import open_fmu
 from twin.fmi.fmu_instance import Running, running
 from twin.fmi.native_fmu import export_native
 from twin.model.fitted_model import Model
-from twin.model.stepper import EVERYTHING
 
 KINDS: dict[str, Callable[[Model, Path], Path]] = {
     "python": python_fmu.export,

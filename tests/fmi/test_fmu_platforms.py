@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from controlled_axis import EFFECTS, ENDS, INPUTS, axis
-from native_axis import PERIOD, by_kernel, command, model_of
+from native_axis import EVERYTHING, PERIOD, by_kernel, command, model_of
 
 from twin.control import controller_fmu
 from twin.control.cosimulation import Runner
@@ -25,7 +25,6 @@ from twin.fmi import compilers
 from twin.fmi.fmu_archive import open_fmu
 from twin.fmi.fmu_instance import running
 from twin.fmi.native_fmu import export_native
-from twin.model.stepper import EVERYTHING
 
 MASTER = Path(__file__).resolve().parents[2] / "scripts" / "master.c"
 ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")

@@ -16,7 +16,7 @@ import pytest
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
-from native_axis import NAMES, PERIOD, RIGID, abuse, by_kernel, command, model_of
+from native_axis import EVERYTHING, NAMES, PERIOD, RIGID, abuse, by_kernel, command, model_of
 
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
@@ -24,7 +24,7 @@ from twin.fmi import compilers, native_fmu, python_fmu
 from twin.fmi.native_fmu import export_native
 from twin.io.files import zipped
 from twin.model.fitted_model import Model
-from twin.model.stepper import EVERYTHING, Structure
+from twin.model.stepper import Structure
 from twin.model.variables import parameters_text
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import fmpy.validation
 import numpy as np
 import pytest
-from native_axis import NAMES, PERIOD, RIGID, by_kernel, command, model_of
+from native_axis import EVERYTHING, NAMES, PERIOD, RIGID, by_kernel, command, model_of
 
 from fmu_src import pack
 from twin.effects.catalogue import BASE
@@ -28,7 +28,7 @@ from twin.fmi.fmu_instance import Running, running
 from twin.io.files import zipped
 from twin.io.recording import Recording
 from twin.model.fitted_model import Model
-from twin.model.stepper import EVERYTHING, Structure
+from twin.model.stepper import Structure
 from twin.model.variables import variables
 from twin.simulation import kernel
 
@@ -447,7 +447,7 @@ def test_a_write_that_fails_leaves_what_was_there(made, tmp_path, monkeypatch, d
 def test_export_overwrites_nothing_unasked(tmp_path):
     there = tmp_path / "axis.fmu"
     there.write_text("precious")
-    with pytest.raises(BadInput, match="--force"):
+    with pytest.raises(BadInput, match="force=True"):
         python_fmu.export(model_of(SIMPLE), there)
     with pytest.raises(BadInput, match="not a folder"):
         python_fmu.export(model_of(SIMPLE), tmp_path / "nowhere" / "axis.fmu")
