@@ -16,7 +16,7 @@ ORDER = """errors parallel display effects io model codegen simulation fmi estim
     batch web testing cli __main__"""
 TOP = {
     "pyproject.toml", "fmu_src", "twin", "tests", "models", "scripts", "README.md", "LICENSE", "CONTRIBUTING.md",
-    "docs", ".ci", ".gitignore",
+    "docs", "mkdocs.yml", ".ci", ".gitignore",
 }  # fmt: skip
 
 

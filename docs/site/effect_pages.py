@@ -102,7 +102,9 @@ def picture(effect: Effect) -> str:
             back = velocity < 0.0
             for way, color in ((~back, AFTER), (back, BEFORE)):
                 shown = np.flatnonzero(way)[::3]
-                axes[1].plot(variable[over][shown], np.clip(lacking, -limit, limit)[shown], ".", color=color, markersize=2)
+                axes[1].plot(
+                    variable[over][shown], np.clip(lacking, -limit, limit)[shown], ".", color=color, markersize=2
+                )
             axes[1].set_xlabel(f"{over} (blue forwards, orange backwards)")
         for axis in axes:
             axis.set_ylim(-limit, limit)
@@ -112,7 +114,7 @@ def picture(effect: Effect) -> str:
 
 def page(effect: Effect) -> str:
     """One page, in Markdown."""
-    law = f"<p class=\"law\">{figures.math_svg(latex.equation(effect.id))}</p>"
+    law = f'<p class="law">{figures.math_svg(latex.equation(effect.id))}</p>'
     said = [HEAD.format(
         title=effect.title[0].upper() + effect.title[1:], id=effect.id, station=effect.station,
         depends=" and ".join(effect.depends_on) or "nothing: it is always there", law=law,
@@ -128,7 +130,9 @@ def page(effect: Effect) -> str:
     if effect.parameters and effect.id not in BASE:
         sizes = sized(effect)
         shown = ", ".join(f"`{p.name}` {sizes[p.name]:g}" for p in effect.parameters)
-        said.append(f"\n## What it leaves\n\n![{effect.title}: torque that the model lacks]({effect.id}.svg)\n\nOn a simulated axis with {shown}.")
+        said.append(
+            f"\n## What it leaves\n\n![{effect.title}: torque that the model lacks]({effect.id}.svg)\n\nOn a simulated axis with {shown}."
+        )
     if effect.confused_with:
         said.append("\n## What it is confused with\n\n| rival | the experiment that tells them apart |\n|---|---|")
         said += [
