@@ -29,8 +29,8 @@ SIZES: dict[str, float] = {
     "coulomb_friction": 2.0, "dead_band_forward": 10.0, "dead_band_reverse": 6.0, "delay": 0.03, "detent_angle": 0.5,
     "disturbance_frequency": 0.7, "eccentricity": 0.05, "fade": 0.4, "fade_reference": 30.0, "fade_time": 4.0,
     "friction_asymmetry": 0.5, "friction_variation": 1.0, "joint_frequency": 4.0, "lag_time": 0.05, "load_added": 0.6,
-    "load_friction": 0.3, "load_time": 6.0, "own_inertia": 0.01, "pulse_start": 6.0, "pulse_length": 1.5, "pulse_edge": 0.1,
-    "quadratic_drag": 0.5, "ripple_order": 6.0, "run_in_friction": 2.5, "run_in_time": 3.0, "sag_reference": 60.0,
+    "load_friction": 0.3, "load_time": 6.0, "own_inertia": 0.01, "pulse_start": 6.0, "pulse_length": 1.5,
+    "pulse_edge": 0.1,    "quadratic_drag": 0.5, "ripple_order": 6.0, "run_in_friction": 2.5, "run_in_time": 3.0, "sag_reference": 60.0,
     "saturation_limit": 35.0, "sector_friction": 3.0, "sector_width": 0.5, "sector_angle": 0.5, "spring_stiffness": 2.0,
     "stop_lower": -1.2, "stop_upper": 1.2, "stop_stiffness": 400.0, "stop_damping": 10.0,
     "stribeck_friction": 2.0, "stribeck_velocity": 0.8, "supply_sag": 0.006, "viscous_asymmetry": 0.4,
@@ -92,19 +92,18 @@ def picture(effect: Effect) -> str:
     jumps = np.flatnonzero(np.abs(np.diff(duty)) > 5.0)
     lacking[(jumps[:, None] + np.arange(-1, 3)).ravel()] = np.nan
     limit = 1.3 * float(np.nanquantile(np.abs(lacking), 0.995)) or 1.0
+    lacking = np.clip(lacking, -limit, limit)
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots(1, 2 if over else 1, squeeze=False)[0]
-        axes[0].plot(time[::3], np.clip(lacking, -limit, limit)[::3], color=AFTER, linewidth=0.9)
+        axes[0].plot(time[::3], lacking[::3], color=AFTER, linewidth=0.9)
         axes[0].set_xlabel("time, s")
         axes[0].set_ylabel(says)
         if over:
             back = velocity < 0.0
             for way, color in ((~back, AFTER), (back, BEFORE)):
                 shown = np.flatnonzero(way)[::3]
-                axes[1].plot(
-                    variable[over][shown], np.clip(lacking, -limit, limit)[shown], ".", color=color, markersize=2
-                )
+                axes[1].plot(variable[over][shown], lacking[shown], ".", color=color, markersize=2)
             axes[1].set_xlabel(f"{over} (blue forwards, orange backwards)")
         for axis in axes:
             axis.set_ylim(-limit, limit)
