@@ -30,7 +30,8 @@ SIZES: dict[str, float] = {
     "disturbance_frequency": 0.7, "eccentricity": 0.05, "fade": 0.4, "fade_reference": 30.0, "fade_time": 4.0,
     "friction_asymmetry": 0.5, "friction_variation": 1.0, "joint_frequency": 4.0, "lag_time": 0.05, "load_added": 0.6,
     "load_friction": 0.3, "load_time": 6.0, "own_inertia": 0.01, "pulse_start": 6.0, "pulse_length": 1.5,
-    "pulse_edge": 0.1,    "quadratic_drag": 0.5, "ripple_order": 6.0, "run_in_friction": 2.5, "run_in_time": 3.0, "sag_reference": 60.0,
+    "pulse_edge": 0.1, "quadratic_drag": 0.5, "ripple_order": 6.0, "run_in_friction": 2.5, "run_in_time": 3.0,
+    "sag_reference": 60.0,
     "saturation_limit": 35.0, "sector_friction": 3.0, "sector_width": 0.5, "sector_angle": 0.5, "spring_stiffness": 2.0,
     "stop_lower": -1.2, "stop_upper": 1.2, "stop_stiffness": 400.0, "stop_damping": 10.0,
     "stribeck_friction": 2.0, "stribeck_velocity": 0.8, "supply_sag": 0.006, "viscous_asymmetry": 0.4,
@@ -129,9 +130,8 @@ def page(effect: Effect) -> str:
     if effect.parameters and effect.id not in BASE:
         sizes = sized(effect)
         shown = ", ".join(f"`{p.name}` {sizes[p.name]:g}" for p in effect.parameters)
-        said.append(
-            f"\n## What it leaves\n\n![{effect.title}: torque that the model lacks]({effect.id}.svg)\n\nOn a simulated axis with {shown}."
-        )
+        said.append(f"\n## What it leaves\n\n![{effect.title}: the torque that the model lacks]({effect.id}.svg)")
+        said.append(f"\nOn a simulated axis with {shown}.")
     if effect.confused_with:
         said.append("\n## What it is confused with\n\n| rival | the experiment that tells them apart |\n|---|---|")
         said += [

@@ -55,7 +55,7 @@ LAWS: dict[str, tuple[Callable[[], Array], dict[str, float]]] = {
 
 
 def asked(question, torque: Array, seed: int = 0, **values: float):
-    """What a question to case and base says where this torque (N,) is missing beside noise of a tenth of its size."""
+    """What a question says where this torque (N,) is missing beside noise of a tenth of its size."""
     noise = 0.1 * float(np.std(torque)) * np.random.default_rng(seed).standard_normal(len(TIME))
     missing = residual_torque.MissingTorque(
         TIME, torque + noise, PLACE, SPEED, np.gradient(SPEED, TIME), COMMAND, 0.002
@@ -67,13 +67,11 @@ def asked(question, torque: Array, seed: int = 0, **values: float):
     base = Fit(structure, known, filter_memory.process_noise_of(case, 0.1), free, 0.0, 1.0, none, np.zeros(0), none)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(residual_torque, "missing_torque", lambda *args: missing)
-        return question([case], base)
+        return question(FitProblem([case]), base)
 
 
 def found(torque: Array, seed: int = 0) -> list[torque_regression.TorqueFollower]:
-    return asked(
-        lambda cases, base: torque_regression.ranked_by_torque(FitProblem(cases), base, CANDIDATES), torque, seed
-    )
+    return asked(lambda problem, base: torque_regression.ranked_by_torque(problem, base, CANDIDATES), torque, seed)
 
 
 @pytest.mark.parametrize("effect", LAWS)
@@ -129,7 +127,7 @@ def test_noise_and_an_axis_at_rest_are_followed_by_nothing(monkeypatch):
 
 def levels(forward: float, reverse: float) -> list[dict[str, float]]:
     return asked(
-        lambda cases, base: torque_regression.offset_starts(base, CANDIDATES), COMMAND,
+        lambda problem, base: torque_regression.offset_starts(base, CANDIDATES), COMMAND,
         dead_band_forward=forward, dead_band_reverse=reverse,
     )  # fmt: skip
 

@@ -151,7 +151,7 @@ def test_the_linear_axis_lacks_friction_and_a_constant_pull() -> None:
     found = quick("emps").last
     assert "coulomb_friction" in found.structure
     # Which of the two it is shows at rest only.
-    assert {"constant_offset", "friction_asymmetry"} & set(found.structure.named)
+    assert {"constant_offset", "friction_asymmetry", "viscous_asymmetry"} & set(found.structure.named)
     numbers = real_recordings.SETS["emps"].numbers(found)  # as published, from a third of the record
     assert numbers["M, kg"] == pytest.approx(95.1, rel=0.03)
     assert numbers["Fv, N s/m"] == pytest.approx(203.5, rel=0.06)
