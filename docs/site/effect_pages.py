@@ -39,6 +39,7 @@ SIZES: dict[str, float] = {
 #: What the second panel is drawn over, by the first word of `depends_on` that stands here.
 OVER = {"position": "position, rad", "velocity": "velocity, rad/s", "direction": "velocity, rad/s", "input": "input, %",
         "load": "input, %", "acceleration": "acceleration, rad/s²"}  # fmt: skip
+NAMESPACES = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
 HEAD = """# {title}
 
 `{id}` acts at the {station}. What it leaves in a recording goes with {depends}.
@@ -109,7 +110,9 @@ def picture(effect: Effect) -> str:
         for axis in axes:
             axis.set_ylim(-limit, limit)
 
-    return figures.draw_svg(draw, 9.0, 3.0, f"{effect.title}: {says}, over time{f' and {over}' if over else ''}")
+    drawn = figures.draw_svg(draw, 9.0, 3.0, f"{effect.title}: {says}, over time{f' and {over}' if over else ''}")
+    # In a file of its own a drawing has to say what it is, and in which letters.
+    return drawn.replace("<svg ", f'<svg {NAMESPACES} font-family="sans-serif" ', 1)
 
 
 def page(effect: Effect) -> str:
