@@ -15,11 +15,11 @@ from fmpy.validation import validate_fmu
 from twin.control import controller, cosimulation, design
 from twin.control.controller import Controller
 from twin.control.cosimulation import Tracking
-from twin.diagnosis import data_split, diagnose, result
+from twin.diagnosis import adequacy, data_split, diagnose, result
 from twin.diagnosis.result import Diagnosis
 from twin.errors import BadInput, StageFailed
 from twin.estimation import estimate, two_stage
-from twin.fmi import python_fmu
+from twin.fmi import evidence, native_fmu, python_fmu
 from twin.io.api import as_list
 from twin.io.files import json_text, new_folder, put
 from twin.io.recording import Recording
@@ -33,8 +33,8 @@ T = TypeVar("T")
 
 #: What `twin run` writes into its folder.
 FILES = (
-    "model.toml", "arm.fmu", "improved.toml", "improved.fmu", "diagnosis.json", "next_experiment.csv",
-    "controller.toml", "report.html",
+    "model.toml", "arm.fmu", "improved.toml", "improved.fmu", "improved-native.fmu", "diagnosis.json",
+    "next_experiment.csv", "controller.toml", "report.html",
 )  # fmt: skip
 
 
@@ -75,12 +75,15 @@ class Stages:
         return None
 
 
-def _export(stages: Stages, folder: Path, name: str, model: Model, fmu: str, recording: Recording) -> Check | None:
-    """The model's file and its FMU in the folder, and how the FMU replays a recording."""
-    put(folder / f"{name}.toml", fitted_model.dumps(model))
-    if stages.attempt(fmu, lambda: python_fmu.export(model, folder / fmu)) is None:
+def _export(
+    stages: Stages, folder: Path, model: Model, fmu: str, recording: Recording, platforms: tuple[str, ...] = ()
+) -> Check | None:
+    """The model's FMU in the folder, native where platforms are named, and how it replays a recording."""
+    write = native_fmu.export_native if platforms else python_fmu.export
+    if stages.attempt(fmu, lambda: write(model, folder / fmu)) is None:
         return None
-    return stages.attempt(f"check of {fmu}", lambda: check(folder / fmu, fmu, recording))
+    found = stages.attempt(f"check of {fmu}", lambda: check(folder / fmu, fmu, recording))
+    return found and replace(found, platforms=platforms or python_fmu.PLATFORMS)
 
 
 def _closed_loop(
@@ -143,12 +146,13 @@ def run(
         diagnosis = _diagnosis(stages, recordings, structure, lambda s, x: tell(s, 0.05 + 0.75 * x))
         if diagnosis is None:
             model = estimate.identify(recordings, structure, progress=lambda s, x: tell(s, 0.8 + 0.1 * x))
-            _export(stages, folder, "model", model, "arm.fmu", longest)
+            put(folder / "model.toml", fitted_model.dumps(model))
+            _export(stages, folder, model, "arm.fmu", longest)
         else:
             story = _tell_story(stages, recordings, diagnosis, folder, bandwidth, tell)
             story = replace(story, two_stage=simple, seconds={**story.seconds, "in all": time.perf_counter() - began})
             tell("writing the report", 0.96)
-            _write_report(stages, folder, story)
+            _write_report(stages, folder, story, recordings)
     tell("done", 1.0)
     if diagnosis is None:
         raise StageFailed(stages.failures, model)
@@ -162,14 +166,34 @@ def finish(recordings: Sequence[Recording], diagnosis: Diagnosis, out: Path, pro
     stages, tell = Stages(), progress or (lambda sentence, share: None)
     with new_folder(out, FILES, force=True) as folder:
         story = _tell_story(stages, recordings, diagnosis, folder, None, tell)
-        _write_report(stages, folder, story)
+        _write_report(stages, folder, story, recordings)
     return story
 
 
-def _write_report(stages: Stages, folder: Path, story: Story) -> None:
-    page = stages.attempt("report", lambda: html(story))
+def _write_report(stages: Stages, folder: Path, story: Story, recordings: Sequence[Recording]) -> None:
+    """The report, and in each FMU of the folder what it was judged by; times only where bytes may differ."""
+    shown = _without_times(story) if os.environ.get("SOURCE_DATE_EPOCH") else story
+    page = stages.attempt("report", lambda: html(shown))
     if page is not None:
         put(folder / "report.html", page)
+    stages.attempt("evidence in the FMUs", lambda: _attach(folder, recordings, story.diagnosis, page or ""))
+
+
+def _without_times(story: Story) -> Story:
+    """The story without what differs from run to run."""
+    checks = tuple(replace(c, seconds=None) for c in story.checks)
+    return replace(story, seconds={}, checks=checks, diagnosis=replace(story.diagnosis, seconds={}))
+
+
+def _attach(folder: Path, recordings: Sequence[Recording], diagnosis: Diagnosis, page: str) -> None:
+    """Put what was held out, how well it is met, and the report into the FMUs."""
+    figures, held_out = adequacy.to_json(diagnosis.adequacy), data_split.split(recordings)[1]
+    for name in FILES:
+        if name.endswith(".fmu") and (folder / name).exists():
+            model = diagnosis.before if name == "arm.fmu" else diagnosis.after
+            runs, parts = data_split.led(held_out, model.structure, data_split.lead_of(model.values))
+            trials = [evidence.Trial(r, part.begin) for r, part in zip(runs, parts, strict=True) if part.is_read]
+            evidence.attach(folder / name, trials, figures, page if model is diagnosis.after else "")
 
 
 def _tell_story(
@@ -180,7 +204,13 @@ def _tell_story(
     longest = max(recordings, key=lambda r: len(r.time))
     tell("checking the FMUs in FMPy", 0.82)
     models = (("model", diagnosis.before, "arm.fmu"), ("improved", diagnosis.after, "improved.fmu"))
-    checks = [_export(stages, folder, name, model, fmu, longest) for name, model, fmu in models]
+    for name, model, _ in models:
+        put(folder / f"{name}.toml", fitted_model.dumps(model))
+    checks = [_export(stages, folder, model, fmu, longest) for _, model, fmu in models]
+    native = "improved-native.fmu"
+    platforms = stages.attempt(native, native_fmu.platforms)
+    if platforms:
+        checks.append(_export(stages, folder, diagnosis.after, native, longest, platforms))
     tell("controller and closed loop", 0.9)
     made, tracking = _closed_loop(stages, folder, diagnosis.after, bandwidth)
     experiment = result.experiment_csv(diagnosis.experiment, diagnosis.after.input_name)

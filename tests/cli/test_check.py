@@ -10,6 +10,8 @@ from example_diagnosis import excitation, model_of, simulated
 
 from twin.cli.main import main
 from twin.fmi import python_fmu
+from twin.fmi.fmu_archive import open_fmu
+from twin.model import fitted_model
 
 LAGGED = model_of("motor_lag").with_values({"lag_time": 0.02, "viscous_friction": 6.0})
 PLAIN = model_of().with_values({"viscous_friction": 6.0})
@@ -90,3 +92,21 @@ def test_a_picture_that_cannot_be_written_costs_only_itself(capsys, bench: Path)
 def test_gates_that_hold_nothing_are_refused(capsys, bench: Path, given: list[str], says: str) -> None:
     code, out, err = check(capsys, "good.fmu", "--log", "log.csv", *given)
     assert (code, out) == (2, "") and says in err and err.count("\n") == 1
+
+
+def test_an_fmu_that_carries_a_recording_is_checked_without_one(capsys, bench: Path) -> None:
+    (bench / "lagged.toml").write_text(fitted_model.dumps(LAGGED))
+    (bench / "slow.toml").write_text(fitted_model.dumps(LAGGED.with_values({"lag_time": 0.04})))
+    given = ["lagged.toml", "--out", "arm.fmu", "--evidence", "log.csv", "--author", "me", "--license", "CC0-1.0"]
+    assert main(["export", *given]) == 0
+    assert open_fmu(bench / "arm.fmu").description.get("author") == "me"
+    assert check(capsys, "arm.fmu")[0] == 0
+    assert check(capsys, "arm.fmu", *AHEAD)[0] == 0
+    assert main(["update", "arm.fmu", "--from", "slow.toml", "--out", "slow.fmu"]) == 0
+    code, out, _ = check(capsys, "slow.fmu")
+    assert code == 1 and "beyond what the FMU says it is" in out
+    assert main(["update", "arm.fmu", "--from", "slow.toml", "--evidence", "log.csv"]) == 0
+    assert check(capsys, "arm.fmu")[0] == 0
+    code, _, err = check(capsys, "good.fmu")
+    assert code == 2 and "carries no recording: give one as --log" in err
+    assert check(capsys, "arm.fmu", "--ahead", "0.1")[0] == 2

@@ -27,7 +27,7 @@ from twin.diagnosis import diagnose, result
 from twin.effects.catalogue import EFFECTS, UNKNOWN
 from twin.estimation import estimate, two_stage
 from twin.estimation.preparation import base_structure
-from twin.fmi import python_fmu
+from twin.fmi import compilers, evidence, python_fmu
 from twin.io import files, recording
 from twin.model import fitted_model
 
@@ -464,6 +464,7 @@ def known_answer(monkeypatch):
 
     monkeypatch.setattr(diagnose, "diagnose", answer)
     monkeypatch.setattr(estimate, "compile_kernel", lambda tell: None)
+    monkeypatch.setattr(compilers, "has_zig", lambda: False)  # one platform is enough here, and five take long
     return answer
 
 
@@ -533,6 +534,11 @@ def test_run_leaves_everything_in_its_folder(capsys, bench, known_answer):
     page = (bench / "out/report.html").read_text()
     assert "phase margin" in page and "improved.fmu" in page
     refused(capsys, bench, "run", "good.csv", "--out", "out")
+    for name in ("arm", "improved", "improved-native"):
+        trials, _ = evidence.carried(bench / f"out/{name}.fmu")
+        assert trials[0].recording.name.startswith("good.csv") and trials[0].judged_from > 0.0
+    assert call(capsys, "check", "out/improved-native.fmu")[0] == 0
+    assert "improved-native.fmu (Linux x86_64)" in out
     assert call(capsys, "run", "good.csv", "--out", "out", "--force", "--quiet")[0] == 0
 
 
@@ -582,6 +588,14 @@ def test_a_stage_that_fails_costs_only_itself(capsys, bench, known_answer, monke
     assert f"There is no {stage}: " in out and "Traceback" not in out + err
     if "report.html" not in lost:
         assert f"There is no {stage}: " in (bench / "out/report.html").read_text()
+
+
+def test_without_a_compiler_a_run_says_what_to_install(capsys, bench, known_answer, monkeypatch):
+    monkeypatch.setenv("PATH", str(bench))
+    monkeypatch.delenv("CC", raising=False)
+    code, out, _ = call(capsys, "run", "good.csv", "--out", "out")
+    assert code == 0 and not (bench / "out/improved-native.fmu").exists()
+    assert "There is no improved-native.fmu: a native FMU needs a C compiler" in out and "pip install twin" in out
 
 
 def test_a_controller_that_is_asked_for_and_cannot_be_made_is_exit_1(capsys, bench, known_answer):

@@ -65,20 +65,9 @@ FLAGS = {
 }  # fmt: skip
 #: Arguments of the library whose options have the same name.
 SAME = (
-    "ahead",
-    "amplitude",
-    "bandwidth",
-    "draws",
-    "duration",
-    "fmi",
-    "force",
-    "horizon",
-    "method",
-    "out",
-    "rig",
-    "scheduler",
-    "target",
-)
+    "ahead", "amplitude", "bandwidth", "draws", "duration", "fmi", "force", "horizon", "log", "method", "out", "rig",
+    "scheduler", "target",
+)  # fmt: skip
 
 
 def with_flags(message: str) -> str:

@@ -7,6 +7,7 @@ import csv
 import io
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,21 @@ if TYPE_CHECKING:
 GATES = {"rmse": "max_rmse", "peak": "max_peak", "nrmse_percent": "max_nrmse"}
 
 
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """A recording, the FMU over it, the errors that are judged, and what they may be."""
+
+    recording: Recording
+    ran: Replay
+    found: Misfit
+    limits: Mapping[str, float]
+    since: float = 0.0
+
+    @property
+    def holds(self) -> bool:
+        return all(getattr(self.found, name) <= limit for name, limit in self.limits.items())
+
+
 def replay_all(args: argparse.Namespace) -> tuple[list[Recording], Rig, list[Replay]]:
     with show_progress(args) as tell:
         recordings, rig = load(args, tell)
@@ -35,10 +51,11 @@ def replay_all(args: argparse.Namespace) -> tuple[list[Recording], Rig, list[Rep
     return recordings, rig, ran
 
 
-def _fits(recordings: Sequence[Recording], ran: Sequence[Replay]) -> list[dict[str, Any]]:
+def _fits(recordings: Sequence[Recording], ran: Sequence[Replay], since: Sequence[float] = ()) -> list[dict[str, Any]]:
     from twin.fmi.misfit import misfit
 
-    found = [(r, misfit(r, s)) for r, s in zip(recordings, ran, strict=True)]
+    begins = since or [0.0] * len(recordings)
+    found = [(r, misfit(r, s, since=begin)) for r, s, begin in zip(recordings, ran, begins, strict=True)]
     return [{"recording": r.name, "role": r.role, **_figures(m), "unit": r.output_unit} for r, m in found]
 
 
@@ -99,7 +116,7 @@ def _limits(args: argparse.Namespace) -> dict[str, float]:
     for name, limit in limits.items():
         if not limit > 0.0:
             raise BadInput(f"{_flag(name)} is {limit:g}: give a number above 0")
-    if not limits:
+    if not limits and (args.log or args.ahead is not None):
         raise BadInput("there is nothing to hold the twin to: give --max-nrmse, --max-rmse or --max-peak")
     return limits
 
@@ -111,38 +128,66 @@ def _flag(name: str) -> str:
 def _check(args: argparse.Namespace) -> int:
     limits = _limits(args)
     check_outputs(args)
-    recordings, rig, ran = replay_all(args)
-    from twin.fmi.misfit import misfit
+    judged, assumed = _judged(args) if args.log else (_judged_again(args, limits), [])
     from twin.io.recording import faults_of
 
-    fits, judged = _fits(recordings, ran), [misfit(r, s, args.ahead) for r, s in zip(recordings, ran, strict=True)]
+    recordings = [j.recording for j in judged]
+    bad = [j for j in judged if not j.holds]
+    fits = _fits(recordings, [j.ran for j in judged], [j.since for j in judged])
     if args.ahead is not None:
-        fits = [f | {"ahead": {"seconds": args.ahead, **_figures(m)}} for f, m in zip(fits, judged, strict=True)]
-    bad = [i for i, m in enumerate(judged) if not all(getattr(m, name) <= limits[name] for name in limits)]
-    pictures = [_picture(args, recordings[i], ran[i], judged[i]) for i in bad]
-    beyond = " or ".join(f"{_flag(name)} {limit:g}" for name, limit in limits.items())
+        far = [{"seconds": args.ahead, **_figures(j.found)} for j in judged]
+        fits = [f | {"ahead": ahead} for f, ahead in zip(fits, far, strict=True)]
+    pictures = [_picture(args, j) for j in bad]
+    beyond = " or ".join(f"{_flag(name)} {limit:g}" for name, limit in limits.items()) or "what the FMU says it is"
     verdict = f"The twin does not fit: {len(bad)} of {len(fits)} beyond" if bad else "The twin fits: none is beyond"
     answer = {
         "format": "twin-check/1", "holds": not bad, "max_nrmse_percent": args.max_nrmse, "limits": limits, "fit": fits,
         "plots": [str(p) for p, _ in pictures if p is not None], "recording_faults": faults_of(recordings),
     }  # fmt: skip
-    said = [*assumption_lines(rig), *fault_lines(recordings), *_fit_lines([fits[i] for i in bad] or fits)]
-    answer_user(args, [*said, *(says for _, says in pictures), f"{verdict} {beyond}."], answer)
+    shown = [f for f, j in zip(fits, judged, strict=True) if not j.holds] or fits
+    said = [*assumed, *fault_lines(recordings), *_fit_lines(shown), *(says for _, says in pictures)]
+    answer_user(args, [*said, f"{verdict} {beyond}."], answer)
     return 1 if bad else 0
 
 
-def _picture(args: argparse.Namespace, r: Recording, ran: Replay, found: Misfit) -> tuple[Path | None, str]:
+def _judged(args: argparse.Namespace) -> tuple[list[_Judged], list[str]]:
+    """The FMU on the recordings that are given, and what was assumed of their columns."""
+    recordings, rig, ran = replay_all(args)
+    from twin.fmi.misfit import misfit
+
+    pairs = zip(recordings, ran, strict=True)
+    return [_Judged(r, s, misfit(r, s, args.ahead), _limits(args)) for r, s in pairs], assumption_lines(rig)
+
+
+def _judged_again(args: argparse.Namespace, limits: Mapping[str, float]) -> list[_Judged]:
+    """The FMU on the recordings that it carries; without limits of the user's, by the figures that it carries."""
+    with show_progress(args) as tell:
+        from twin.fmi import evidence, python_fmu
+        from twin.fmi.misfit import misfit
+
+        trials, figures = evidence.carried(args.fmu)
+        judged = []
+        for i, (trial, found) in enumerate(zip(trials, figures, strict=True)):
+            tell(f"simulating {trial.recording.name}", i / len(trials))
+            ran = python_fmu.replay(args.fmu, trial.recording)
+            own = {name: evidence.REPEATED * found[name] for name in ("rmse", "peak")}
+            errors = misfit(trial.recording, ran, args.ahead, trial.judged_from)
+            judged.append(_Judged(trial.recording, ran, errors, limits or own, trial.judged_from))
+    return judged
+
+
+def _picture(args: argparse.Namespace, judged: _Judged) -> tuple[Path | None, str]:
     """A picture of the worst second: its file, None where it cannot be written, and what is said of it."""
     from twin.io.files import put
     from twin.report.misfit_plot import worst_second
 
-    begin, end = found.worst()
+    r, (begin, end) = judged.recording, judged.found.worst()
     where = f"{r.name} is missed most from {begin:.3f} to {end:.3f} s"
     name = re.sub(r"[^A-Za-z0-9_.-]+", "_", f"{args.fmu.stem}-{r.name}")
     path = args.plots / f"{name}.png"
     try:
         args.plots.mkdir(parents=True, exist_ok=True)
-        put(path, worst_second(r, ran, found, f"{args.fmu.name} and {r.name}"))
+        put(path, worst_second(r, judged.ran, judged.found, f"{args.fmu.name} and {r.name}"))
     except (OSError, BadInput):
         return None, f"{where}; {args.plots} takes no picture of it: name another folder with --plots."
     return path, f"{where}: {path}"
@@ -157,7 +202,7 @@ def _add_simulate_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_check_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("fmu", type=Path, metavar="ARM.fmu")
-    add_log(parser, "--log", required=True)
+    add_log(parser, "--log", default=[])
     add_closed(parser)
     parser.add_argument("--max-nrmse", type=percentage, metavar="PERCENT", help="RMSE, of the recorded range")
     parser.add_argument("--max-rmse", type=float, metavar="ERROR", help="RMSE, in the unit of the output (rad, m)")

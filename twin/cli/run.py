@@ -9,7 +9,11 @@ from twin.cli.output import answer_user, assumption_lines, fault_lines, paramete
 from twin.errors import StageFailed
 
 #: What a user opens first, and what is said of it.
-_SHOWN = {"report.html": "Everything is in", "improved.fmu": "the twin is"}
+_SHOWN = {
+    "report.html": "Everything is in",
+    "improved.fmu": "the twin is",
+    "improved-native.fmu": "for hosts without Python it is",
+}
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -23,6 +27,7 @@ def _run(args: argparse.Namespace) -> int:
         from twin import pipeline
         from twin.control import cosimulation
         from twin.diagnosis import result
+        from twin.display.numbers import listed
         from twin.estimation import estimate
         from twin.report import wording
 
@@ -51,7 +56,8 @@ def _run(args: argparse.Namespace) -> int:
         "seconds": dict(story.seconds),
     }
     said = [*assumption_lines(rig), *fault_lines(recordings), *says, *story.remarks]
-    where = [f"{what} {files[name]}" for name, what in _SHOWN.items() if name in files]
+    runs_on = {c.fmu: f" ({listed(c.platforms)})" for c in story.checks if "native" in c.fmu}
+    where = [f"{what} {files[name]}{runs_on.get(name, '')}" for name, what in _SHOWN.items() if name in files]
     answer_user(args, [*said, f"{'; '.join(where)}."], answer)
     # A bandwidth asks for a controller; else the verdict is what was asked for.
     return 1 if args.bandwidth is not None and story.controller is None else 0

@@ -34,6 +34,11 @@ class Target:
     folders: Mapping[int, str]
     suffix: str
 
+    @property
+    def name(self) -> str:
+        """As people say it."""
+        return f"{'macOS' if self.system == 'Darwin' else self.system} {self.machine}"
+
 
 #: glibc 2.17 is older than any distribution still in use, so the Linux binaries load on all of them.
 TARGETS: tuple[Target, ...] = (

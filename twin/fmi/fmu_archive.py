@@ -7,6 +7,7 @@ of entities.
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import shutil
@@ -16,7 +17,7 @@ import tempfile
 import xml.etree.ElementTree as ET
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -121,6 +122,28 @@ class Fmu:
                     target.write_bytes(content)
         except _BROKEN as error:
             raise BadInput(f"{self.path} cannot be unpacked ({error}): the archive is damaged") from None
+
+
+def rewritten(fmu: Fmu, fresh: Mapping[str, bytes], gone: Collection[str] = ()) -> bytes:
+    """The archive with these members in the place of the old, and new ones behind; every other byte of content stays.
+
+    What is in `gone` and not in `fresh` is left out. Raises BadInput where a member cannot be read.
+    """
+    target = io.BytesIO()
+    with zipfile.ZipFile(fmu.path) as old, zipfile.ZipFile(target, "w") as new:
+        new.comment = old.comment
+        for info in old.infolist():
+            if info.filename in gone and info.filename not in fresh:
+                continue
+            kept = b"" if info.is_dir() else fmu.read(info.filename, info.file_size)
+            new.writestr(info, fresh.get(info.filename, kept))
+        for name in [name for name in fresh if name not in fmu.members]:
+            info = zipfile.ZipInfo(name)
+            info.create_system = 3
+            info.compress_type = zipfile.ZIP_DEFLATED
+            info.external_attr = 0o100644 << 16
+            new.writestr(info, fresh[name])
+    return target.getvalue()
 
 
 def plain_folder() -> Path:

@@ -64,7 +64,7 @@ class Misfit:
         return begin, min(begin + length, float(self.time[-1]))
 
 
-def misfit(recording: Recording, ran: Replay, ahead: float | None = None) -> Misfit:
+def misfit(recording: Recording, ran: Replay, ahead: float | None = None, since: float = 0.0) -> Misfit:
     """Errors of a free run, or of the prediction `ahead` seconds ahead.
 
     The prediction is what was recorded, and what the FMU moves from then on: the error of the free run at that time is
@@ -79,6 +79,8 @@ def misfit(recording: Recording, ran: Replay, ahead: float | None = None) -> Mis
         The free run of the FMU over it.
     ahead
         s; None for the free run itself.
+    since
+        s; what comes before only leads there.
 
     Raises
     ------
@@ -93,7 +95,9 @@ def misfit(recording: Recording, ran: Replay, ahead: float | None = None) -> Mis
         later = later[later < len(time)]
         error, wanted = (v[later] - v[: len(later)] for v in (error, wanted))
         time = time[later]
+    inside = time >= since
+    time, error, wanted = time[inside], error[inside], wanted[inside]
     seen = np.isfinite(error)
     if not seen.any():
-        raise BadInput(f"{recording.name}: no two readings are {ahead} s apart, so there is nothing to compare with")
+        raise BadInput(f"{recording.name}: no readings are left to judge by, or none so far apart: give a longer one")
     return Misfit(time, error, float(np.ptp(wanted[seen])), ahead)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 from twin.model.fitted_model import Model
 from twin.model.variables import Variable, base_unit
@@ -123,7 +125,14 @@ def _calculated(part: Derivative | Margin) -> dict[str, str]:
     return {"name": part.name, "valueReference": str(part.reference), "description": part.says} | kind
 
 
+def built_at() -> str:
+    """SOURCE_DATE_EPOCH in ISO 8601, UTC; empty where it is not set, so that the same input gives the same bytes."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
+    return datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ") if epoch.isdigit() else ""
+
+
 def _root(identity: Identity, version: str, token_name: str) -> ET.Element:
+    made = {"generationDateAndTime": at} if (at := built_at()) else {}
     return ET.Element(
         "fmiModelDescription",
         {
@@ -133,9 +142,18 @@ def _root(identity: Identity, version: str, token_name: str) -> ET.Element:
             "description": identity.says,
             "generationTool": "twin",
             "license": "MIT",
+            **made,
             "variableNamingConvention": "structured",
         },
     )
+
+
+def with_origin(described: bytes, origin: Mapping[str, str]) -> bytes:
+    """The description with other attributes of its root: `author`, `version`, `license`, `copyright`."""
+    root = ET.fromstring(described)
+    for name, value in origin.items():
+        root.set(name, value)
+    return text(root)
 
 
 def _add_common(root: ET.Element, identity: Identity, shown: Sequence[Variable], solver: Solver) -> None:

@@ -11,8 +11,10 @@ import html
 import importlib.resources
 import importlib.util
 import math
+import os
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -246,11 +248,18 @@ def sources(made: Export, fmi: int) -> dict[str, str]:
 def _binaries(name: str, fmi: int, folder: Path) -> dict[str, bytes]:
     """Path in the archive -> library of this name, for every platform that can be compiled for."""
     found: dict[str, dict[str, bytes]] = {}
-    for compiler in compilers():
-        target = compiler.target
-        path = f"binaries/{target.folders[fmi]}/{name}{target.suffix}"
-        found.setdefault(path, {})[target.machine] = compiler.library(_SOURCES[fmi], folder, name)
+    every = compilers()
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        libraries = pool.map(lambda compiler: compiler.library(_SOURCES[fmi], folder, name), every)
+        for target, library in zip((c.target for c in every), libraries, strict=True):
+            path = f"binaries/{target.folders[fmi]}/{name}{target.suffix}"
+            found.setdefault(path, {})[target.machine] = library
     return {path: next(iter(thin.values())) if len(thin) == 1 else universal(thin) for path, thin in found.items()}
+
+
+def platforms() -> tuple[str, ...]:
+    """What a native FMU made here runs on. Raises BadInput where nothing compiles one."""
+    return tuple(compiler.target.name for compiler in compilers())
 
 
 # ---- archive ----

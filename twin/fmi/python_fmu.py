@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-import io
 import json
 import math
 import re
 import uuid
-import zipfile
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -21,8 +20,8 @@ from numpy.typing import NDArray
 from fmu_src import pack
 from twin.codegen import c, python
 from twin.errors import BadInput
-from twin.fmi import compilers, model_description
-from twin.fmi.fmu_archive import Fmu, open_fmu
+from twin.fmi import compilers, model_description, related_files
+from twin.fmi.fmu_archive import Fmu, open_fmu, rewritten
 from twin.fmi.fmu_instance import running
 from twin.io.files import check_free, put
 from twin.io.position_loop import own_loop
@@ -34,6 +33,8 @@ from twin.model.variables import OUTPUTS, ROUND, delay_capacity, parameters_text
 
 FloatArray = NDArray[np.float64]
 
+#: What pythonfmu brings a library for.
+PLATFORMS = ("Linux x86_64", "Windows x86_64")
 _MODEL = "resources/model.toml"
 _VALUES = "resources/parameters.txt"
 _DESCRIPTION = "modelDescription.xml"
@@ -140,25 +141,28 @@ def _with_starts(fmu: Fmu, text: bytes, model: Model) -> bytes:
 
 
 def update(fmu: Path, model: Model, out: Path | None = None) -> Path:
-    """Write the model's parameters into an FMU of ours, of either kind; every other byte stays as it is.
+    """Write the model's parameters into an FMU of ours, of either kind.
 
+    The old ones become part of the archive's history (`twin.fmi.related_files`); every other byte stays as it is.
     Without `out` the FMU itself is replaced, whole or not at all. Raises BadInput.
     """
-    opened = open_fmu(fmu)
-    different = _differences(read_model(fmu), model)
+    opened, old = open_fmu(fmu), read_model(fmu)
+    different = _differences(old, model)
     if different:
         raise BadInput(f"{fmu} has another structure: {different}; make a new FMU with twin export")
     fresh = {_MODEL: dumps(model).encode(), _VALUES: parameters_text(model).encode()}
     fresh[_DESCRIPTION] = _with_starts(opened, opened.read(_DESCRIPTION), model)
-    target = io.BytesIO()
-    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(target, "w") as new:
-        new.comment = old.comment
-        for info in old.infolist():
-            content = fresh.get(info.filename)
-            kept = b"" if info.is_dir() else opened.read(info.filename, info.file_size)
-            new.writestr(info, kept if content is None else content)
-    put(out or fmu, target.getvalue())
+    if fresh[_VALUES] != opened.read(_VALUES):
+        fresh |= related_files.files(opened, related_files.past(opened, old))
+    put(out or fmu, rewritten(opened, fresh))
     return out or fmu
+
+
+def set_origin(fmu: Path, origin: Mapping[str, str]) -> None:
+    """Write who made an FMU into its description: `author`, `version`, `license`, `copyright`. Raises BadInput."""
+    opened = open_fmu(fmu)
+    described = model_description.with_origin(opened.read(_DESCRIPTION), origin)
+    put(fmu, rewritten(opened, {_DESCRIPTION: described}))
 
 
 # ---- replay ----
@@ -246,6 +250,12 @@ def start_of(recording: Recording) -> tuple[float, float]:
     return start.position, start.velocity
 
 
+def start_values(recording: Recording, model: Model | None) -> tuple[float, float]:
+    """Position and velocity at the first stamp at which the model's sensor reads what was read there."""
+    position, velocity = start_of(recording)
+    return (sensor.position(model.structure, model.values, position) if model else position), velocity
+
+
 def replay(fmu: Path, recording: Recording, start: tuple[float, float] | None = None, closed: bool = False) -> Replay:
     """Drive the recorded input through the FMU in FMPy, one communication step from stamp to stamp.
 
@@ -266,11 +276,7 @@ def replay(fmu: Path, recording: Recording, start: tuple[float, float] | None = 
         raise BadInput(f"{fmu} has {len(inputs)} inputs, not one: give an FMU that twin export wrote")
     units = {name: unit for unit, name in INPUT_NAMES.items()}
     check_units(recording, str(fmu), units.get(inputs[0], ""), opened.unit("position"))
-    if start is None:
-        position, velocity = start_of(recording)
-        position = sensor.position(model.structure, model.values, position) if model else position
-    else:
-        position, velocity = start
+    position, velocity = start_values(recording, model) if start is None else start
     values = {"position_start": float(position), "velocity_start": float(velocity)}
     values |= {name: float(value) for name, value in recording.known.items() if name in KNOWN and name in names}
     loop = own_loop(recording) if closed else None

@@ -28,14 +28,15 @@ _MOST_ROWS = 20
 
 @dataclass(frozen=True)
 class Check:
-    """An FMU checked in FMPy: how it replays a recording, and what the validator says."""
+    """An FMU checked in FMPy: how it replays a recording, what the validator says, and what it runs on."""
 
     fmu: str
     recording: str
     rmse: float
     nrmse_percent: float
-    seconds: float
+    seconds: float | None  # None: not said, so that the same input gives the same page
     problems: tuple[str, ...]
+    platforms: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -473,11 +474,11 @@ def _how(story: Story) -> str:
         unit = unit_text(d.recordings[0].output_unit)
         checked = [
             (
-                f"<code>{escape(c.fmu)}</code>",
+                f"<code>{escape(c.fmu)}</code><br>{escape(', '.join(c.platforms))}",
                 "valid" if not c.problems else escape("; ".join(c.problems)),
                 f"{number(c.rmse)} {unit}",
                 f"{number(c.nrmse_percent)}\u202f%",
-                f"{number(c.seconds, 2)} s",
+                "" if c.seconds is None else f"{number(c.seconds, 2)} s",
             )
             for c in story.checks
         ]
