@@ -26,7 +26,7 @@ from scipy.signal import lfilter
 
 from twin.diagnosis import diagnose, holdout
 from twin.diagnosis.result import Diagnosis
-from twin.estimation import estimate, maximum_likelihood
+from twin.estimation import estimate, horizon
 from twin.estimation.fit import Fit
 from twin.io import recording
 from twin.model.fitted_model import Model
@@ -98,7 +98,7 @@ def _emps_floor(recordings: Recordings, model: Model) -> str:
     floor = _rms([(apart + train.output - held_out.output)[20:]])
     moved = np.sign(np.gradient(train.output))
     share = float(np.mean(held_out.input * moved) / np.mean(train.input * moved)) - 1.0
-    own = maximum_likelihood.for_horizon(model, [replace(held_out, role="train")], float(held_out.time[-1]))
+    own = horizon.for_horizon(model, [replace(held_out, role="train")], float(held_out.time[-1]))
     return (
         f"{1e3 * floor:.2g} mm for a model exact on the training record, because the same motion took "
         f"{100.0 * share:.1f} % more voltage in the other; "
@@ -244,9 +244,9 @@ def outcome(name: str, data: Path, quick: bool) -> Outcome:
     held_out = [r for r in recordings if r.role == "holdout"]
     whole = max(float(r.time[-1]) for r in recordings)
     errors = {when: _errors(found, when) for when in ("before", "after")}
-    errors["for whole runs"] = _run(maximum_likelihood.for_horizon(found.after, recordings, whole), held_out)
+    errors["for whole runs"] = _run(horizon.for_horizon(found.after, recordings, whole), held_out)
     if chosen.closed:
-        looped = maximum_likelihood.for_horizon(found.after, recordings, whole, closed=True)
+        looped = horizon.for_horizon(found.after, recordings, whole, closed=True)
         errors["own loop, after"] = _run(found.after, held_out, closed=True)
         errors["own loop, for whole runs"] = _run(looped, held_out, closed=True)
     figures = {when: chosen.metric(recordings, e) for when, e in errors.items()}

@@ -10,7 +10,7 @@ import pytest
 from axis_runs import run, steps
 
 from twin.errors import BadInput
-from twin.estimation import likelihood, maximum_likelihood, prepared_recording
+from twin.estimation import horizon, likelihood, maximum_likelihood, prepared_recording
 from twin.io.recording import Loop, Recording
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
@@ -35,7 +35,7 @@ def recorded(seed: int, lag: float) -> Recording:
 def models(lag: float) -> tuple[Model, Model]:
     recordings = [recorded(1, lag), recorded(2, lag)]
     likeliest = maximum_likelihood.identify(recordings, STRUCTURE)
-    return likeliest, maximum_likelihood.for_horizon(likeliest, recordings, 24.0)
+    return likeliest, horizon.for_horizon(likeliest, recordings, 24.0)
 
 
 def free_run(model: Model, recording: Recording) -> float:
@@ -72,7 +72,7 @@ def test_under_the_own_loop_the_values_are_those_of_the_loop() -> None:
     recording = replace(made, output=np.round(position / COUNT) * COUNT, input=1.33 * wish, resolution=COUNT)
     likeliest = maximum_likelihood.identify([recording], STRUCTURE)
     assert likeliest.values["input_gain"] < 0.8 * TRUTH["input_gain"]
-    closed = maximum_likelihood.for_horizon(likeliest, [recording], 16.0, closed=True)
+    closed = horizon.for_horizon(likeliest, [recording], 16.0, closed=True)
     for name, true in TRUTH.items():
         assert closed.values[name] == pytest.approx(true, rel=0.03)
 
@@ -80,9 +80,9 @@ def test_under_the_own_loop_the_values_are_those_of_the_loop() -> None:
 @pytest.mark.parametrize("horizon", [0.0, -1.0, float("nan")])
 def test_a_horizon_lies_ahead(horizon: float) -> None:
     with pytest.raises(BadInput, match="time above 0"):
-        maximum_likelihood.for_horizon(models(0.0)[0], [recorded(1, 0.0)], horizon)
+        horizon.for_horizon(models(0.0)[0], [recorded(1, 0.0)], horizon)
 
 
 def test_a_model_without_an_estimate_is_no_start() -> None:
     with pytest.raises(BadInput, match="no estimate to start from"):
-        maximum_likelihood.for_horizon(Model(STRUCTURE, TRUTH), [recorded(1, 0.0)], 1.0)
+        horizon.for_horizon(Model(STRUCTURE, TRUTH), [recorded(1, 0.0)], 1.0)

@@ -11,6 +11,7 @@ import numpy as np
 from twin.effects.catalogue import EFFECTS, UNKNOWN
 from twin.effects.end_stop import NOWHERE
 from twin.errors import BadInput
+from twin.estimation import horizon as best_over
 from twin.estimation import maximum_likelihood, preparation, two_stage
 from twin.io.api import as_list
 from twin.io.position_loop import own_loop
@@ -110,6 +111,9 @@ def identify(
 ) -> Model:  # fmt: skip
     """Find the parameters of a model, with standard errors.
 
+    Where the likeliest values only make up for physics that the model lacks, its values are those of the best free run
+    through the whole recordings, and its provenance says so ("horizon").
+
     Parameters
     ----------
     recordings
@@ -142,10 +146,10 @@ def identify(
     _check_request(recordings, method, horizon, closed_loop)
     if method == "joint":
         compile_kernel(tell)
-        found = maximum_likelihood.identify(recordings, structure, progress=lambda s, x: tell(s, 0.05 + 0.85 * x))
+        found = _joint(recordings, structure, lambda s, x: tell(s, 0.05 + 0.85 * x))
         if horizon is not None:
             tell(f"the best values over {horizon:g} s", 0.9)
-            found = maximum_likelihood.for_horizon(found, recordings, horizon, closed_loop)
+            found = best_over.for_horizon(found, recordings, horizon, closed_loop)
     else:
         tell("steady states and transients", 0.1)
         train = to_fit(recordings)
@@ -154,6 +158,17 @@ def identify(
             raise BadInput(f'{train[0].name}: no two-stage estimate: {simple.says}; or use `method="joint"`')
         found = two_stage.to_model(simple, train)
     return with_largest_command(found, recordings)
+
+
+def _joint(recordings: Sequence[Recording], structure: Structure, tell: Progress) -> Model:
+    """The likeliest model; where that makes up for physics that it lacks, the one that runs freely best."""
+    problem, likeliest = maximum_likelihood.likeliest(recordings, structure, progress=tell)
+    if best_over.lacks_physics(problem, likeliest):
+        tell("the best free run", 0.85)
+        best = best_over.best_with_known_gap(best_over.free_run_fits(problem, likeliest))
+        return best_over.to_model(problem, best, to_fit(recordings))
+    tell("profiles of the likelihood", 0.85)
+    return maximum_likelihood.with_intervals(problem, likeliest, recordings)
 
 
 def _check_request(recordings: Sequence[Recording], method: str, horizon: float | None, closed_loop: bool) -> None:

@@ -14,13 +14,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.errors import BadInput
 from twin.estimation import (
-    filter_memory,
     likelihood,
     likelihood_profile,
     multistart,
-    optimizer,
     parameter_bounds,
     preparation,
 )
@@ -37,10 +34,10 @@ PROFILED = ("dead_band_forward", "dead_band_reverse", "backlash_gap")
 _PERTURBATIONS = {"tooth_frequency": 0.01, "tooth_damping": 0.01, "backlash_gap": 0.001}
 
 
-def _notes(point: Fit, covariance: NDArray[np.float64]) -> dict[str, str]:
+def notes(point: Fit, covariance: NDArray[np.float64]) -> dict[str, str]:
     """What the recording cannot fix, and what would."""
     size = np.sqrt(np.diag(covariance))
-    notes = {}
+    said: dict[str, str] = {}
     for i, name in enumerate(point.free):
         value = abs(point.values[name])
         if size[i] <= 0.5 * max(value, 1e-12):
@@ -50,21 +47,21 @@ def _notes(point: Fit, covariance: NDArray[np.float64]) -> dict[str, str]:
         correlation[i] = 0.0
         partner = point.free[int(np.argmax(correlation))]
         if correlation.max() > 0.95:
-            notes[name] = f"the recording cannot fix it: it and {partner} show only together; {_remedy(name, partner)}"
+            said[name] = f"the recording cannot fix it: it and {partner} show only together; {_remedy(name, partner)}"
         else:
-            notes[name] = f"the recording cannot fix it; {_remedy(name, '')}"
+            said[name] = f"the recording cannot fix it; {_remedy(name, '')}"
     for name in point.free:
         bounds = parameter_bounds.bounds_of(name)
         if name in multistart.MULTIMODAL and point.values[name] in bounds and point.values[name] != 0.0:
             told = (
                 f"it ends at its bound of {point.values[name]:.3g}: a sign that it makes up for physics that is missing"
             )
-            notes[name] = "; ".join([told, *filter(None, [notes.get(name)])])
+            said[name] = "; ".join([told, *filter(None, [said.get(name)])])
     if not point.converged and point.free:
         # Every model has an input gain, and it comes first: what is said of it is read.
         told = f"the fit did not converge, no value is final: {point.message}"
-        notes[point.free[0]] = "; ".join([told, *filter(None, [notes.get(point.free[0])])])
-    return notes
+        said[point.free[0]] = "; ".join([told, *filter(None, [said.get(point.free[0])])])
+    return said
 
 
 def _remedy(name: str, partner: str) -> str:
@@ -117,7 +114,7 @@ def to_model(problem: FitProblem, point: Fit, recordings: Sequence[Recording]) -
         values={p.name: float(point.values[p.name]) for p in point.structure.parameters},
         fitted=point.free,
         covariance=covariance,
-        notes=_notes(point, covariance),
+        notes=notes(point, covariance),
         axis_unit=first.output_unit.removesuffix("/s"),
         input_unit=first.input_unit,
         sample_time=float(np.round(np.median(np.diff(first.time)), 9)),
@@ -131,62 +128,6 @@ def to_model(problem: FitProblem, point: Fit, recordings: Sequence[Recording]) -
             "recordings": ", ".join(r.name for r in recordings),
             **({"held": ", ".join(problem.held)} if problem.held else {}),
         },
-    )
-
-
-def for_horizon(model: Model, recordings: Sequence[Recording], horizon: float, closed: bool = False) -> Model:
-    """The model with the values that predict best up to `horizon` seconds ahead, found from its own, the likeliest.
-
-    Where the structure is complete both are the same but for noise, and the likeliest are the sharper. Where it is
-    not, the likeliest serve the next reading, and a long free run is served by others: those that make up for what is
-    missing on the way. From window to longer window the model runs freely, because the error of a long run has many
-    valleys; of all values that were passed the best over the horizon itself are kept. `closed` predicts from the
-    reference under the rig's own loop, not from the recorded input. Raises BadInput.
-    """
-    if not horizon > 0.0:
-        raise BadInput(f"the horizon is {horizon:g} s: give a time above 0")
-    if not model.fitted or model.reading_std <= 0.0:
-        raise BadInput("the model holds no estimate to start from: make it with twin identify")
-    train = to_fit(recordings)
-    structure = model.structure
-    process_noise = model.torque_density / model.reading_std**2
-    problem = preparation.prepare_recordings(train, structure).at(process_noise)
-    problem = multistart.choose_initial_contacts(problem, structure, model.values)
-    if closed:
-        under = preparation.prepare_recordings(train, structure, closed=True).recordings
-        contacts = [c.contact for c in problem.recordings]
-        problem = problem.on([replace(c, contact=at) for c, at in zip(under, contacts, strict=True)])
-    longest = min(horizon, max(float(c.drive.time[-1]) for c in problem.recordings))
-
-    def deviance(point: Fit) -> float:
-        return point.deviance
-
-    def windows(span: float) -> FitProblem:
-        return problem.on([likelihood.with_free_runs(c, process_noise, span) for c in problem.recordings])
-
-    goal = windows(longest)
-    best = likelihood.evaluate(goal, structure, model.values, model.fitted)
-    values: Mapping[str, float] = model.values
-    span = 2.0 * max(filter_memory.memory_of(c, process_noise) for c in problem.recordings)
-    while span < longest:
-        values = optimizer.levenberg_marquardt(windows(span), structure, values, model.fitted, rounds=15).values
-        trial = likelihood.evaluate(goal, structure, values, model.fitted)
-        best = min(best, trial, key=deviance)
-        span *= 2.0
-    for begin in (values, best.values):
-        trial = optimizer.levenberg_marquardt(goal, structure, begin, model.fitted)
-        best = min(best, trial, key=deviance)
-    # Errors of one run hang together: stretches as long as the run, but several for every parameter.
-    whole = sum(float(c.drive.time[-1]) for c in problem.recordings)
-    stretch = min(longest, whole / (4.0 * len(model.fitted)))
-    covariance = likelihood.jackknife_covariance(goal, best, stretch)
-    return replace(
-        model,
-        values={n: float(v) for n, v in best.values.items()},
-        covariance=covariance,
-        intervals={},
-        notes=_notes(best, covariance),
-        provenance={**model.provenance, "horizon": f"{horizon:g} s{', under the own loop' if closed else ''}"},
     )
 
 
@@ -207,6 +148,33 @@ def _profile_intervals(problem: FitProblem, point: Fit, model: Model) -> dict[st
     return found
 
 
+def likeliest(
+    recordings: Sequence[Recording],
+    structure: Structure,
+    held: Mapping[str, float] | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> tuple[FitProblem, Fit]:
+    """The maximum of a structure's likelihood over its training recordings, and the problem that it is the maximum of.
+
+    Raises BadInput.
+    """
+    tell = progress or (lambda sentence, share: None)
+    tell("a coarse fit", 0.0)
+    held = dict(held or {})
+    problem, begun = multistart.coarse_starts(to_fit(recordings), structure, held)
+    tell("the full likelihood", 0.3)
+    point = multistart.fit_from_starts(problem.holding(held), preparation.with_tooth_compliance(structure), begun)
+    tell("leaving local valleys", 0.75)
+    problem, point = multistart.leave_local_optima(problem, point)
+    return problem.holding(held), point
+
+
+def with_intervals(problem: FitProblem, point: Fit, recordings: Sequence[Recording]) -> Model:
+    """The maximum as a model, with intervals where a standard error is not enough."""
+    model = to_model(problem, point, to_fit(recordings))
+    return replace(model, intervals=_profile_intervals(problem, point, model))
+
+
 def identify(
     recordings: Sequence[Recording],
     structure: Structure,
@@ -214,15 +182,7 @@ def identify(
     progress: Callable[[str, float], None] | None = None,
 ) -> Model:
     """The joint estimate of a structure from its training recordings. Raises BadInput."""
-    tell = progress or (lambda sentence, share: None)
-    train = to_fit(recordings)
-    tell("a coarse fit", 0.0)
-    held = dict(held or {})
-    problem, begun = multistart.coarse_starts(train, structure, held)
-    tell("the full likelihood", 0.3)
-    point = multistart.fit_from_starts(problem.holding(held), preparation.with_tooth_compliance(structure), begun)
-    tell("leaving local valleys", 0.75)
-    problem, point = multistart.leave_local_optima(problem, point)
-    model = to_model(problem.holding(held), point, train)
-    tell("profiles of the likelihood", 0.85)
-    return replace(model, intervals=_profile_intervals(problem, point, model))
+    problem, point = likeliest(recordings, structure, held, progress)
+    if progress is not None:
+        progress("profiles of the likelihood", 0.85)
+    return with_intervals(problem, point, recordings)

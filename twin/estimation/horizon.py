@@ -1,0 +1,216 @@
+"""The values with which a model predicts best over a horizon, or over whole recordings.
+
+Where a structure is complete they are the likeliest ones but for noise, and the likeliest are the sharper. Where it
+lacks physics there are no true values. The likeliest then serve the next reading: the gap and the motor's share make up
+for what is missing within milliseconds, and a free run pays for it. From window to longer window the model runs freely,
+because the error of a long run has many local optima.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.errors import BadInput
+from twin.estimation import (
+    filter_memory,
+    likelihood,
+    maximum_likelihood,
+    multistart,
+    optimizer,
+    parameter_bounds,
+    preparation,
+)
+from twin.estimation.fit import Fit
+from twin.estimation.problem import FitProblem
+from twin.io.recording import Recording, to_fit
+from twin.model.fitted_model import Model
+from twin.parallel import each
+
+#: What a model without a gap does not have: all but the gap itself may be anything then.
+_GAP_PARAMETERS = ("backlash_gap", "motor_share", "friction_share", "dry_share", "shaft_share")
+#: Factor from one length of the windows to the next, and steps of the fit at each.
+_LENGTHENING, _ROUNDS = 2.0, 15
+#: What a model's provenance calls this horizon.
+WHOLE = "whole recordings"
+_NO_GAP = "not determined: with the physics that this model has, the recording is followed better without a gap"
+
+
+@dataclass(frozen=True, eq=False)
+class HorizonFit:
+    """Values that predict best over a horizon.
+
+    Attributes
+    ----------
+    goal
+        The recordings, judged by free runs over the horizon.
+    fit
+        The best values there.
+    horizon
+        s.
+    """
+
+    goal: FitProblem
+    fit: Fit
+    horizon: float
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Of the free parameters (n, n).
+
+        Errors of one run hang together: the jackknife leaves out stretches as long as the run, but several for every
+        parameter.
+        """
+        whole = sum(float(c.drive.time[-1]) for c in self.goal.recordings)
+        stretch = min(self.horizon, whole / (4.0 * max(len(self.fit.free), 1)))
+        return likelihood.jackknife_covariance(self.goal, self.fit, stretch)
+
+
+def longest_of(problem: FitProblem) -> float:
+    """Duration (s) of the longest recording."""
+    return max(float(c.drive.time[-1]) for c in problem.recordings)
+
+
+def _windows(problem: FitProblem, span: float) -> FitProblem:
+    """The problem, judged by free runs of so many seconds."""
+    judged = [replace(c, contact_mask=None) for c in problem.recordings]
+    return problem.on([likelihood.with_free_runs(c, problem.process_noise, span) for c in judged])
+
+
+def fit_over(problem: FitProblem, start: Fit, horizon: float) -> HorizonFit:
+    """The values that predict best up to a horizon, found from those of a fit: the best of all that were passed.
+
+    Parameters
+    ----------
+    problem
+        The recordings, at the process noise by which the filter finds the state ahead of each free run.
+    start
+        Where the search begins; its free parameters are fitted.
+    horizon
+        s.
+    """
+    goal = _windows(problem, horizon)
+    passed = [likelihood.evaluate(goal, start.structure, start.values, start.free)]
+    values: Mapping[str, float] = start.values
+    span = _LENGTHENING * max(filter_memory.memory_of(c, problem.process_noise) for c in problem.recordings)
+    while span < horizon:
+        shorter = _windows(problem, span)
+        values = optimizer.levenberg_marquardt(shorter, start.structure, values, start.free, rounds=_ROUNDS).values
+        passed.append(likelihood.evaluate(goal, start.structure, values, start.free))
+        span *= _LENGTHENING
+    best = min(passed, key=lambda p: p.deviance)
+    ends = [optimizer.levenberg_marquardt(goal, start.structure, begin, start.free) for begin in (values, best.values)]
+    return HorizonFit(goal, min([best, *ends], key=lambda p: p.deviance), horizon)
+
+
+def _without_gap(fit: Fit) -> Fit:
+    """The fit with a gap of zero, which is held with all that a gap alone shows."""
+    values = {**fit.values, "backlash_gap": 0.0}
+    free = tuple(n for n in fit.free if n not in (*_GAP_PARAMETERS, "tooth_frequency", "tooth_damping"))
+    return replace(fit, structure=fit.structure.without("tooth_compliance"), values=values, free=free)
+
+
+def is_gap_at_bound(fit: Fit) -> bool:
+    """Whether gap or motor's share end at a bound: such a value is no estimate. No gap at all is one."""
+    gap, share = fit.values.get("backlash_gap", 0.0), fit.values.get("motor_share")
+    if "backlash_gap" not in fit.free or gap == 0.0:
+        return False
+    return gap >= parameter_bounds.bounds_of("backlash_gap")[1] or (
+        "motor_share" in fit.free and share in parameter_bounds.bounds_of("motor_share")
+    )
+
+
+def lacks_physics(problem: FitProblem, likeliest: Fit) -> bool:
+    """Whether the likeliest values make up for missing physics: the filter forgets as fast as it may, or the gap is as
+    wide as it may be.
+    """
+    wide = likeliest.values.get("backlash_gap", 0.0) >= parameter_bounds.bounds_of("backlash_gap")[1]
+    return wide or optimizer.is_misspecified(problem, likeliest)
+
+
+def free_run_fits(problem: FitProblem, likeliest: Fit) -> list[HorizonFit]:
+    """Fits over the whole recordings, from the likeliest values and from those without a gap, the best first."""
+    problem, horizon = problem.at(likeliest.process_noise), longest_of(problem)
+    starts = [likeliest, *([_without_gap(likeliest)] if "backlash_gap" in likeliest.free else [])]
+    return sorted(each(lambda start: fit_over(problem, start, horizon), starts), key=lambda end: end.fit.deviance)
+
+
+def best_with_known_gap(fits: Sequence[HorizonFit]) -> HorizonFit:
+    """The best whose gap and motor's share are estimates; the best of all where there is none."""
+    return next((end for end in fits if not is_gap_at_bound(end.fit)), fits[0])
+
+
+def as_judged(problem: FitProblem, found: HorizonFit) -> Fit:
+    """The values as the likelihood of each reading given all before judges them."""
+    fit = found.fit
+    return likelihood.evaluate(problem.at(found.goal.process_noise), fit.structure, fit.values, fit.free)
+
+
+def to_model(problem: FitProblem, found: HorizonFit, recordings: Sequence[Recording]) -> Model:
+    """The model with the values of the best free run, and their standard errors.
+
+    Parameters
+    ----------
+    problem
+        The recordings as they were judged before.
+    found
+        Over the whole recordings.
+    recordings
+        What was fitted.
+    """
+    model = maximum_likelihood.to_model(problem, as_judged(problem, found), recordings)
+    return _over(model, found, WHOLE)
+
+
+def _over(model: Model, found: HorizonFit, says: str) -> Model:
+    """The model with values that were fitted over a horizon."""
+    fit, covariance = found.fit, found.covariance
+    notes = maximum_likelihood.notes(fit, covariance)
+    if "backlash_gap" not in fit.free and fit.values.get("backlash_gap") == 0.0:
+        notes |= {n: _NO_GAP for n in _GAP_PARAMETERS if n in model.values}
+    return replace(
+        model,
+        values={n: float(fit.values[n]) for n in model.values},
+        covariance=covariance,
+        intervals={},
+        notes=notes,
+        provenance={**model.provenance, "horizon": says},
+    )
+
+
+def for_horizon(model: Model, recordings: Sequence[Recording], horizon: float, closed: bool = False) -> Model:
+    """The model with the values that predict best up to `horizon` seconds ahead, found from its own.
+
+    Parameters
+    ----------
+    model
+        With an estimate.
+    recordings
+        Those with the role "train" are fitted.
+    horizon
+        s.
+    closed
+        Whether to predict from the reference under the rig's own loop, not from the recorded input.
+
+    Raises
+    ------
+    BadInput
+        The horizon is no time, or the model holds no estimate.
+    """
+    if not horizon > 0.0:
+        raise BadInput(f"the horizon is {horizon:g} s: give a time above 0")
+    if not model.fitted or model.reading_std <= 0.0:
+        raise BadInput("the model holds no estimate to start from: make it with twin identify")
+    train, structure = to_fit(recordings), model.structure
+    problem = preparation.prepare_recordings(train, structure).at(model.torque_density / model.reading_std**2)
+    problem = multistart.choose_initial_contacts(problem, structure, model.values)
+    if closed:
+        under = preparation.prepare_recordings(train, structure, closed=True).recordings
+        contacts = [c.contact for c in problem.recordings]
+        problem = problem.on([replace(c, contact=at) for c, at in zip(under, contacts, strict=True)])
+    longest = min(horizon, longest_of(problem))
+    start = likelihood.evaluate(problem, structure, model.values, model.fitted)
+    return _over(model, fit_over(problem, start, longest), f"{horizon:g} s{', under the own loop' if closed else ''}")
