@@ -39,9 +39,9 @@ def _diagnose(args: argparse.Namespace) -> int:
             recordings, structure, {} if given is None else estimate.held_parameters(given),
             progress=lambda s, x: tell(s, 0.05 + 0.9 * x), closed=args.closed_loop,
         )  # fmt: skip
-        same = given is not None and given.structure.named == d.before.structure.named
-        if given is not None and same and given.fitted and d.before.fitted:
-            changes = compare_models(given, d.before)
+        same = given is not None and given.structure.named == d.likeliest.structure.named
+        if given is not None and same and given.fitted and d.likeliest.fitted:
+            changes = compare_models(given, d.likeliest)
             d = replace(d, changes=changes.found, remarks=(changes_sentence(changes), *d.remarks))
         page = ""
         if args.report is not None:

@@ -21,6 +21,7 @@ from twin.diagnosis import (
     data_split,
     experiment_design,
     forward_selection,
+    handed_out,
     holdout,
     model_comparison,
     nonparametric,
@@ -512,13 +513,12 @@ def diagnose(
     judged, last_point = foreseen if found.last is seen else _fit_with_longest_memory(found)
     # Of a model without the right physics nobody can say what it would have to foresee.
     first_point = local_optima.with_longer_memory(found.problem, found.first)
-    before = after = maximum_likelihood.to_model(judged, last_point, train)
-    if first_point.structure == last_point.structure:
-        first_point = last_point
-    else:
-        before = maximum_likelihood.to_model(found.problem, first_point, train)
-    fitted = [r.recording for r in found.problem.recordings]
-    figures = adequacy.measure(found.problem, held_out, first_point, last_point, coverage.beyond(fitted, held_out))
+    same = first_point.structure == last_point.structure
+    shown_pair = handed_out.pair(
+        (judged if same else found.problem, judged), (last_point if same else first_point, last_point), train, held_out
+    )
+    figures, before, after = shown_pair.figures, shown_pair.first.model, shown_pair.last.model
+    first_point, last_point = shown_pair.first.fit, shown_pair.last.fit
     if claims.vetoed(figures) and last_point is not first_point:
         said.append(claims.veto_sentence(figures, last_point.structure, first))
         failed = [*failed, *claims.vetoed_names(figures, last_point.structure, first)]
@@ -559,6 +559,7 @@ def diagnose(
         segments=tuple(residual_torque.segments(missing[0])),
         before=before,
         after=after,
+        likeliest=shown_pair.likeliest,
         fit=fit,
         traces=tuple(shown),
         missing_before=missing[0],

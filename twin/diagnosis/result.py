@@ -115,8 +115,9 @@ class Diagnosis(Tabular):
     depends_on: tuple[str, ...]
     telling: str  # name of the training recording in which the first model lacks most
     segments: tuple[Segment, ...]  # of it
-    before: Model
+    before: Model  # its best free run
     after: Model
+    likeliest: Model  # the first model at the maximum of its likelihood: what changed since is asked of it
     fit: Mapping[str, Mapping[str, Fitness]]
     traces: tuple[Trace, ...]
     missing_before: MissingTorque  # in it

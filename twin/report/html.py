@@ -182,7 +182,7 @@ def _finding(found: Finding, model: Model) -> str:
 
 def _found(story: Story) -> str:
     d = story.diagnosis
-    new = [i for i in d.after.structure.ids if i not in d.before.structure]
+    new = [i for i in d.after.structure.ids if i not in (*d.before.structure.ids, "tooth_compliance")]
     parts = [_finding(f, d.after) for f in d.findings]
     if not d.findings:
         parts.append(_said(_nothing_found(d)))
