@@ -10,7 +10,7 @@ import pytest
 from axis_runs import run, steps
 
 from twin.errors import BadInput
-from twin.estimation import horizon, likelihood, maximum_likelihood, prepared_recording
+from twin.estimation import estimate, horizon, likelihood, maximum_likelihood, prepared_recording
 from twin.io.recording import Loop, Recording
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
@@ -77,12 +77,32 @@ def test_under_the_own_loop_the_values_are_those_of_the_loop() -> None:
         assert closed.values[name] == pytest.approx(true, rel=0.03)
 
 
-@pytest.mark.parametrize("horizon", [0.0, -1.0, float("nan")])
-def test_a_horizon_lies_ahead(horizon: float) -> None:
+@pytest.mark.parametrize("span", [0.0, -1.0, float("nan")])
+def test_a_horizon_lies_ahead(span: float) -> None:
     with pytest.raises(BadInput, match="time above 0"):
-        horizon.for_horizon(models(0.0)[0], [recorded(1, 0.0)], horizon)
+        horizon.for_horizon(models(0.0)[0], [recorded(1, 0.0)], span)
 
 
 def test_a_model_without_an_estimate_is_no_start() -> None:
     with pytest.raises(BadInput, match="no estimate to start from"):
         horizon.for_horizon(Model(STRUCTURE, TRUTH), [recorded(1, 0.0)], 1.0)
+
+
+def test_a_gap_does_not_make_up_for_a_lag() -> None:
+    """The likeliest gap of a rig without one is as wide as may be where the lag is not modelled."""
+    first = Structure.of(["inertia", "viscous_friction", "dead_band", "backlash"])
+    recording = recorded(1, 0.05)
+    problem, likeliest = maximum_likelihood.likeliest([recording], first)
+    assert horizon.lacks_physics(problem, likeliest)
+    found = estimate.identify(recording, first)
+    assert found.provenance["horizon"] == horizon.WHOLE
+    assert found.values["backlash_gap"] < 0.1 and 0.02 < found.values["motor_share"] < 0.98
+    model = maximum_likelihood.to_model(problem, likeliest, [recording])
+    assert free_run(found, recording) < free_run(model, recording)
+
+
+def test_a_complete_model_keeps_the_likeliest_values() -> None:
+    recording = recorded(1, 0.0)
+    found = estimate.identify(recording, STRUCTURE)
+    assert "horizon" not in found.provenance
+    assert found.values == maximum_likelihood.identify([recording], STRUCTURE).values

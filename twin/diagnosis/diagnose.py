@@ -148,6 +148,8 @@ def _best_curve(
     names may have shown the first model's own parameters a better place.
     """
     first, last = found.first, found.last
+    if not nonparametric.is_torque_known(found.problem, first):
+        return first
     bases, left = [first], [before]
     if last.structure != first.structure:
         named, _ = _probabilities(found)

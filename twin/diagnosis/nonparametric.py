@@ -437,6 +437,12 @@ def sketch_with_memory(problem: FitProblem, base: Fit, term: CurveTerm) -> Fit:
     return climbed(min(trials, key=lambda p: p.deviance).values, (*free, *others))
 
 
+def is_torque_known(problem: FitProblem, base: Fit) -> bool:
+    """Whether the readings are dense enough for the torque that the model lacks to be read off them anywhere."""
+    lacking = (residual_torque.missing_torque(c, base.structure, base.values) for c in problem.recordings)
+    return any(len(_averages(one)["torque"]) for one in lacking)
+
+
 def sketch_curve(problem: FitProblem, base: Fit, term: CurveTerm) -> Fit:
     """The base model and a term of no known shape, after a few steps at the base's noise density."""
     kind = term.kind

@@ -122,17 +122,34 @@ def _advanced(values: FloatArray, samples: int) -> FloatArray:
     return shifted
 
 
+def _held_back(time: FloatArray, corrections: FloatArray, read: NDArray[np.intp], longest: float) -> FloatArray:
+    """Each reading's correction per time since the reading before it, at all stamps (N,) since then.
+
+    NaN in silences of more than `longest` seconds: nobody knows when in them the torque acted.
+    """
+    if len(read) == 0:
+        return np.full(len(time), np.nan)
+    before = np.append(read[0] - 1, read[:-1])
+    since = time[read] - np.where(before >= 0, time[before], time[read] - longest)
+    rates = np.where(since > longest, np.nan, corrections[read] / since)
+    following = np.searchsorted(read, np.arange(len(time)))
+    return np.asarray(np.append(rates, np.nan)[following])
+
+
 def missing_torque(
     case: PreparedRecording, structure: Structure, values: Mapping[str, float], memory: float = TORQUE_MEMORY
 ) -> MissingTorque:
-    """Read the missing torque off the corrections of a filter with the given memory, s."""
+    """Read the missing torque off the corrections of a filter with the given memory, s.
+
+    A sensor may be read more slowly than it is logged: each correction then stands for the time since the last reading.
+    """
     case = case.stepped(structure)
     step = float(np.median(np.diff(case.drive.time)))
-    memory = max(memory, 4.0 * step)
+    read = np.flatnonzero(np.isfinite(case.drive.measured))
+    usual = float(np.median(np.diff(case.drive.time[read]))) if len(read) > 1 else step
+    memory = max(memory, 4.0 * usual)
     run = likelihood.filtered_states(case, structure, values, filter_memory.process_noise_of(case, memory))
-    error = case.drive.measured - run.reading
-    interval = np.diff(case.drive.time, append=case.drive.time[-1] + step)
-    raw = run.pull * error / interval
+    raw = _held_back(case.drive.time, run.pull * (case.drive.measured - run.reading), read, memory)
     # A second-order filter at its optimum delays by the square root of two of its memory; a first-order one by it.
     late = round((1.0 if case.drive.speed else np.sqrt(2.0)) * memory / step)
     torque = _advanced(raw, late)

@@ -34,6 +34,8 @@ from twin.parallel import each
 _GAP_PARAMETERS = ("backlash_gap", "motor_share", "friction_share", "dry_share", "shaft_share")
 #: Factor from one length of the windows to the next, and steps of the fit at each.
 _LENGTHENING, _ROUNDS = 2.0, 15
+#: Overdispersion below which the errors one step ahead count as white.
+_WHITE = 2.0
 #: What a model's provenance calls this horizon.
 WHOLE = "whole recordings"
 _NO_GAP = "not determined: with the physics that this model has, the recording is followed better without a gap"
@@ -124,11 +126,11 @@ def is_gap_at_bound(fit: Fit) -> bool:
 
 
 def lacks_physics(problem: FitProblem, likeliest: Fit) -> bool:
-    """Whether the likeliest values make up for missing physics: the filter forgets as fast as it may, or the gap is as
-    wide as it may be.
+    """Whether the likeliest values make up for missing physics: the filter forgets as fast as it may; or gap or share
+    end at a bound, and the errors hang together.
     """
-    wide = likeliest.values.get("backlash_gap", 0.0) >= parameter_bounds.bounds_of("backlash_gap")[1]
-    return wide or optimizer.is_misspecified(problem, likeliest)
+    bent = is_gap_at_bound(likeliest) and likeliest.overdispersion > _WHITE
+    return bent or optimizer.is_misspecified(problem, likeliest)
 
 
 def free_run_fits(problem: FitProblem, likeliest: Fit) -> list[HorizonFit]:

@@ -79,7 +79,10 @@ def _or_else(effect: str, diagnosis: Diagnosis) -> str:
 
 
 def _fit_change(before: Fitness, after: Fitness, unit: str, where: str) -> str:
-    """How the free-running error changed."""
+    """How the free-running error changed, if it did."""
+    if before.rmse == after.rmse:
+        share = f"{number(after.nrmse_percent)}\u202f% of the recorded range"
+        return f"{where} the free-running simulation errs by {share} ({number(after.rmse)} {unit_text(unit)})."
     change = (
         f"from {number(before.nrmse_percent)}\u202f% to {number(after.nrmse_percent)}\u202f% of the recorded range "
         f"({number(before.rmse)} to {number(after.rmse)} {unit_text(unit)})"
