@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from twin.cli.command import Command, add_closed, add_log, add_out, add_structure, check_outputs, load
 from twin.cli.output import (
@@ -11,6 +12,7 @@ from twin.cli.output import (
     fault_lines,
     parameter_lines,
     parameters_to_json,
+    prior_sentences,
     show_progress,
 )
 
@@ -22,14 +24,17 @@ def _identify(args: argparse.Namespace) -> int:
 
         recordings, rig = load(args, tell)
         to_fit(recordings)  # before anything is compiled
-        from twin.estimation import estimate
+        from twin.estimation import estimate, prior
         from twin.io import files
         from twin.io.recording import to_fit
         from twin.model import fitted_model
         from twin.report import wording
 
         structure = estimate.first_structure(recordings, args.include, args.exclude)
+        siblings = None if args.prior is None else prior.read_prior(args.prior, structure)
         found = estimate.identify(recordings, structure, args.method, args.horizon, args.closed_loop, tell)
+        if siblings is not None:
+            found = prior.with_prior(found, siblings)
         from twin.diagnosis import free_run_error  # late: bad input is refused without it
 
         errors = free_run_error.free_run_errors(found, to_fit(recordings), args.closed_loop)
@@ -40,6 +45,7 @@ def _identify(args: argparse.Namespace) -> int:
         *fault_lines(recordings),
         f"{args.out}: {found.structure}, by the {args.method} method:",
         *parameter_lines(found),
+        *prior_sentences(found),
         *free_run_error.sentences(errors, recordings[0].output_unit),
     ]
     answer = {
@@ -78,6 +84,9 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
         "--horizon", type=float, metavar="SECONDS",
         help="the values that predict best this far ahead, for a model that lacks something; default: the likeliest",
     )  # fmt: skip
+    parser.add_argument(
+        "--prior", type=Path, metavar="FLEET", help="a folder of twin fleet, whose axes say what to expect of this one"
+    )
     add_closed(parser)
 
 

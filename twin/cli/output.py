@@ -139,3 +139,13 @@ def parameter_lines(model: Model) -> list[str]:
     if lost := undetermined_sentence(model):
         lines.append(f"  {lost}")
     return lines
+
+
+def prior_sentences(model: Model) -> list[str]:
+    """What the siblings of a unit had to say, where they were asked."""
+    told = model.provenance
+    if "prior" not in told:
+        return []
+    unlike = told.get("unlike_siblings", "").replace("_", " ")
+    apart = f" It is unlike them in {unlike}: there the recording alone counts." if unlike else ""
+    return [f"The values hold what {told['prior']} say of such an axis.{apart}"]
