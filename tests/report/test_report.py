@@ -130,6 +130,19 @@ def test_every_verdict_and_kind_of_recording(verdict, several):
     assert "nan" not in page.text.lower().split()
 
 
+@pytest.mark.parametrize("verdict", ["explained", "nothing_missing", "partly_explained", "unexplained"])
+def test_what_is_still_missing_is_said_where_something_is(verdict):
+    """Where, when and how large, with a picture; and not a word of it where the figures bear the model out."""
+    d = example(verdict)
+    figures_of = replace(d.adequacy.missing_torque, after=1.25, of_drive=0.2)
+    page = Page(html.html(story(diagnosis=replace(d, adequacy=replace(d.adequacy, missing_torque=figures_of)))))
+    there = verdict in ("partly_explained", "unexplained")
+    assert ("still-missing" in page.ids) == there
+    assert (
+        "1.2 rad/s² RMS of torque over inertia is still missing, 20 % of what the drive makes" in page.text
+    ) == there
+
+
 def test_a_curve_without_a_name_is_said_and_shown():
     drawn = replace(example("unexplained"), after=model_of("unknown_gain"), depends_on=("position", "input"))
     curve = wording.title("unknown_gain")

@@ -23,7 +23,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from twin.control.cosimulation import Tracking
-from twin.diagnosis.residual_torque import Segment, TorqueShape
+from twin.diagnosis.residual_torque import MissingTorque, Segment, TorqueShape, torque_shapes
 from twin.diagnosis.result import Diagnosis, Experiment, Trace
 from twin.display.numbers import unit_text
 from twin.estimation.two_stage import TwoStage
@@ -271,6 +271,27 @@ def missing_over_time(diagnosis: Diagnosis) -> str:
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2, borderpad=0.0)
 
     return draw_svg(draw, WIDTH, 2.6, "Missing torque over time, before and after; the stretches of misfit are shaded")
+
+
+def left_over(missing: MissingTorque, stretches: Sequence[Segment], axis_unit: str) -> str:
+    """The torque that the last model lacks: over time, and its mean over the variable that tells most of it."""
+    unit = unit_text(f"{axis_unit}/s^2")
+    shape = torque_shapes(missing)[0]
+
+    def draw(figure: Figure) -> None:
+        over_time, over_state = figure.subplots(1, 2, width_ratios=(2.0, 1.0))
+        _marked(over_time, stretches)
+        _line(over_time, missing.time, missing.torque, AFTER, linewidth=0.9)
+        over_time.set_xlim(float(missing.time[0]), float(missing.time[-1]))
+        _within(over_time, missing.torque, share=0.0003)
+        over_time.set_xlabel("time, s")
+        over_time.set_ylabel(f"missing torque, {unit}")
+        _shape(over_state, shape, AFTER, True)
+        over_state.set_xlabel(f"mean over the {_NAMES_OF[shape.variable]}")
+        for axes in (over_time, over_state):
+            axes.axhline(0.0, color=MUTED, linewidth=0.6)
+
+    return draw_svg(draw, WIDTH, 2.6, "The torque that the improved model still lacks, over time and over the state")
 
 
 def _around(segment: Segment) -> tuple[float, float]:

@@ -12,6 +12,7 @@ import numpy as np
 from twin.codegen import latex
 from twin.control.controller import Controller
 from twin.control.cosimulation import Tracking
+from twin.diagnosis.residual_torque import segments
 from twin.diagnosis.result import Diagnosis, Finding, Fitness
 from twin.display.numbers import capital, listed, measure, number, percent, pretty, unit_text
 from twin.effects.catalogue import BASE, EFFECTS, UNKNOWN
@@ -203,6 +204,17 @@ def _found(story: Story) -> str:
         )
     )
     return _section("found", "What was found", *parts)
+
+
+def _still_missing(story: Story) -> str:
+    d = story.diagnosis
+    says = wording.still_missing(d)
+    if not says:
+        return ""
+    drawn = figures.left_over(d.missing_after, segments(d.missing_after), d.after.axis_unit)
+    where = f" along {escape(d.telling)}" if len(d.recordings) > 1 else ""
+    caption = f"The torque that the last model lacks{where}; shaded, {_key('misfit', 'where most of it acts')}."
+    return _section("still-missing", "What is still missing", _said(says), _figure(drawn, caption))
 
 
 def _nothing_found(d: Diagnosis) -> str:
@@ -515,7 +527,20 @@ def _origin(story: Story) -> str:
     return _section("origin", "Where this page comes from", *parts)
 
 
-_PARTS = (_where, _comparison, _residual, _ranking, _parameters, _two_stage, _faults, _control, _next, _how, _origin)
+_PARTS = (
+    _still_missing,
+    _where,
+    _comparison,
+    _residual,
+    _ranking,
+    _parameters,
+    _two_stage,
+    _faults,
+    _control,
+    _next,
+    _how,
+    _origin,
+)
 
 
 def html(story: Story) -> str:

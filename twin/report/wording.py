@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from twin.diagnosis.residual_torque import segments, torque_shapes
 from twin.display.numbers import listed, number, percent, unit_text
 from twin.effects.catalogue import EFFECTS, UNKNOWN
 
@@ -20,6 +21,9 @@ VARIABLES = {
     "position": "position", "velocity": "speed", "acceleration": "acceleration", "input": "the command",
     "time": "time", "direction": "the direction of motion", "load": "the load",
 }  # fmt: skip
+
+#: The least share of the missing torque that a variable has to predict to be named.
+LEAST_SHARE = 0.05
 
 
 def undetermined_sentence(model: Model) -> str:
@@ -108,6 +112,23 @@ def fit_sentence(diagnosis: Diagnosis) -> str:
             where = _held_out_part(diagnosis) if role == "holdout" else "On the training data"
             return _fit_change(both["before"], both["after"], unit, where)
     return "There were no readings to compare a simulation with."
+
+
+def still_missing(diagnosis: Diagnosis) -> str:
+    """How large the torque is that the last model lacks, what it goes with, and when it acts; "" where nothing is."""
+    if diagnosis.verdict in ("explained", "nothing_missing"):
+        return ""
+    figures, shapes = diagnosis.adequacy.missing_torque, torque_shapes(diagnosis.missing_after)
+    if not math.isfinite(figures.after):
+        return ""
+    said = [f"{number(figures.after, 2)} {unit_text(figures.unit)} RMS of torque over inertia is still missing"]
+    if math.isfinite(figures.of_drive):
+        said.append(f"{percent(figures.of_drive)} of what the drive makes")
+    telling = [f"{VARIABLES[s.variable]} ({percent(s.share)})" for s in shapes[:3] if s.share >= LEAST_SHARE]
+    goes = f"It goes with {listed(telling)}" if telling else "It goes with no state of motion that was looked at"
+    worst = sorted(segments(diagnosis.missing_after), key=lambda s: -s.share)[:3]
+    when = [f"{number(s.start)} to {number(s.end)} s" for s in sorted(worst, key=lambda s: s.start)]
+    return f"{', '.join(said)}. {goes}. Most of it acts from {listed(when)}." if when else f"{', '.join(said)}. {goes}."
 
 
 def sentences(diagnosis: Diagnosis, tracking: Tracking | None = None) -> tuple[str, ...]:
