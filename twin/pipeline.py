@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import time
 import traceback
 from collections.abc import Callable, Sequence
@@ -27,6 +28,7 @@ from twin.model import fitted_model
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
 from twin.report.html import Check, Story, html
+from twin.report.origin import Origin, files_of, trace_origin
 
 Progress = Callable[[str, float], None]
 T = TypeVar("T")
@@ -172,11 +174,26 @@ def finish(recordings: Sequence[Recording], diagnosis: Diagnosis, out: Path, pro
 
 def _write_report(stages: Stages, folder: Path, story: Story, recordings: Sequence[Recording]) -> None:
     """The report, and in each FMU of the folder what it was judged by; times only where bytes may differ."""
+    story = replace(story, origin=_origin(folder, story, recordings))
     shown = _without_times(story) if os.environ.get("SOURCE_DATE_EPOCH") else story
     page = stages.attempt("report", lambda: html(shown))
     if page is not None:
         put(folder / "report.html", page)
     stages.attempt("evidence in the FMUs", lambda: _attach(folder, recordings, story.diagnosis, page or ""))
+
+
+def _origin(folder: Path, story: Story, recordings: Sequence[Recording]) -> Origin:
+    """Where the report comes from, and what to do with what stands beside it."""
+    written = [name for name in FILES if (folder / name).exists() or name == "report.html"]
+    log = next((str(r.file) for r in recordings if r.file), "LOG")
+    following = [f"twin simulate improved.fmu --log {shlex.quote(log)} --out simulated.csv"]
+    if story.controller is not None:
+        following.append("twin cosim improved.fmu controller.toml --reference step")
+    following.append("twin export improved.toml --target native --fmi 3 --out native.fmu")
+    if story.experiment_file:
+        following.append("twin diagnose NEW_LOG --model improved.toml --out next.toml  # after next_experiment.csv")
+    following.append("twin track improved.toml LATER_LOG --out history")
+    return trace_origin(files_of(recordings), written, following)
 
 
 def _without_times(story: Story) -> Story:

@@ -234,13 +234,12 @@ def test_sentences_name_effect_and_both_errors():
 def test_a_report_says_where_it_comes_from(tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
     (tmp_path / "log.csv").write_text("abc")
-    made = trace_origin(
-        "twin run log.csv", [tmp_path / "log.csv", tmp_path / "none"], ["report.html"], ["twin check <x>"]
-    )
+    monkeypatch.setattr("sys.argv", ["/somewhere/bin/twin", "run", "my log.csv"])
+    made = trace_origin([tmp_path / "log.csv", tmp_path / "none"], ["report.html"], ["twin check <x>"])
     page = Page(html.html(story(origin=made)))
     assert "1970-01-01T00:00:00+00:00" in page.text
     assert "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad" in page.text  # FIPS 180-2, appendix B.1
-    assert "twin run log.csv" in page.text and "twin check <x>" in page.text
+    assert "twin run 'my log.csv'" in page.text and "twin check <x>" in page.text
     assert "Where this page comes from" not in Page(html.html(story())).text
 
 

@@ -46,9 +46,15 @@ def _diagnose(args: argparse.Namespace) -> int:
         page = ""
         if args.report is not None:
             from twin.report import html
+            from twin.report.origin import files_of, trace_origin
 
             tell("writing the report", 0.97)
-            page = html.html(html.Story(d, rig))
+            made = trace_origin(
+                [*files_of(recordings), *filter(None, [args.model])],
+                [str(args.out), str(args.report)],
+                [f"twin export {args.out} --out axis.fmu", f"twin control {args.out} --out controller.toml"],
+            )
+            page = html.html(html.Story(d, rig, origin=made))
     experiment = result.experiment_csv(d.experiment, d.after.input_name)
     files.put(args.out, fitted_model.dumps(estimate.with_largest_command(d.after, recordings)))
     if experiment:

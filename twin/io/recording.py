@@ -86,6 +86,7 @@ class Recording(Tabular):
     location: str = "link"  # "link" | "motor": the side of gear, gap and elasticity that the sensor sits on
     refresh: float | None = None  # s, how often the sensor is read anew; None: not known
     rig: Rig | None = None  # what the columns of the file were
+    file: Path | None = None  # that it was read from
     preflight: tuple[Finding, ...] = ()  # what was found before any fit
 
     def __repr__(self) -> str:
@@ -449,6 +450,7 @@ def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
         location=rig.location,
         refresh=cleaned.refresh,
         rig=rig,
+        file=entry.path,
     )
     if entry.start is not None or entry.end is not None:
         recording = recording.part(entry.start or 0.0, math.inf if entry.end is None else entry.end)

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shlex
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+
+from twin.io.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -39,15 +43,18 @@ class Origin:
     next_commands: tuple[str, ...]
 
 
-def trace_origin(
-    command: str, inputs: Iterable[Path], outputs: Iterable[str], next_commands: Iterable[str] = ()
-) -> Origin:
+def command_line() -> str:
+    """The command that runs now, to be copied; "" where it is no command of twin."""
+    program = Path(sys.argv[0])
+    called = program.stem == "twin" or (program.name == "__main__.py" and program.parent.name == "twin")
+    return shlex.join(["twin", *sys.argv[1:]]) if called else ""
+
+
+def trace_origin(inputs: Iterable[Path], outputs: Iterable[str], next_commands: Iterable[str] = ()) -> Origin:
     """The origin of a report that is made now.
 
     Parameters
     ----------
-    command : str
-        The command line.
     inputs : iterable of Path
         Recordings, rig file, model; what is no file is left out.
     outputs, next_commands : iterable of str
@@ -55,9 +62,9 @@ def trace_origin(
     """
     epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
     made = datetime.fromtimestamp(int(epoch), UTC) if epoch.isdigit() else datetime.now(UTC)
-    read = tuple((p.name, file_digest(p)) for p in inputs if p.is_file())
+    read = tuple((p.name, file_digest(p)) for p in dict.fromkeys(inputs) if p.is_file())
     return Origin(
-        version("twin"), made.isoformat(timespec="seconds"), command, read, tuple(outputs), tuple(next_commands)
+        version("twin"), made.isoformat(timespec="seconds"), command_line(), read, tuple(outputs), tuple(next_commands)
     )
 
 
@@ -65,3 +72,9 @@ def file_digest(path: Path) -> str:
     """SHA-256 of a file, hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def files_of(recordings: Iterable[Recording]) -> list[Path]:
+    """The files that recordings were read from, and the rig files that said how."""
+    read = [(r.file, r.rig and Path(r.rig.name)) for r in recordings]
+    return [path for pair in read for path in pair if path]
