@@ -21,6 +21,7 @@ from fmpy.fmi2 import FMU2Slave
 
 from twin.effects.catalogue import BASE
 from twin.fmi import compilers, native_fmu, python_fmu
+from twin.fmi.fmu_instance import release_at_exit
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
 
@@ -77,6 +78,7 @@ def from_fmpy(fmu: Path, length: float, repeat: int) -> float:
             modelIdentifier=description.coSimulation.modelIdentifier,
         )  # fmt: skip
         slave.instantiate()
+        release_at_exit(slave.dll._name)
         slave.setupExperiment(startTime=0.0)
         slave.enterInitializationMode()
         slave.exitInitializationMode()

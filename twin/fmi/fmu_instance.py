@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import ctypes
+import os
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from functools import cache
@@ -25,6 +28,22 @@ Outputs = ctypes.Array[ctypes.c_double]
 def _silent() -> Any:
     """A logger that says nothing, kept for as long as the process lives."""
     return fmpy.fmi2.fmi2CallbackLoggerTYPE(lambda *a: None)
+
+
+@cache
+def release_at_exit(library: str) -> None:
+    """Let the library of a pythonfmu FMU drop its state while Python ends, once for each file.
+
+    On Linux such a library is never unloaded. When the process ends it drops a shared pointer twice: the second time it
+    counts down in freed memory, which brings some processes down. Once dropped, there is nothing left to drop. Our
+    own slaves do this themselves, for hosts that do not; twice is as good as once.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    loaded = ctypes.CDLL(library, mode=os.RTLD_NOLOAD | os.RTLD_NOW)
+    drop = getattr(loaded, "finalizePythonInterpreter", None)
+    if drop is not None:
+        atexit.register(drop)
 
 
 def _let_go_of_the_logger() -> None:
@@ -66,6 +85,7 @@ class Running:
             self._callbacks.freeMemory = fmpy.fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.free)
             fmpy.logging.addLoggerProxy(ctypes.byref(self._callbacks))
             self._slave.instantiate(callbacks=self._callbacks, loggingOn=True)
+            release_at_exit(self._slave.dll._name)
         else:
             self._slave.instantiate(loggingOn=True, logMessage=lambda *a: self._hear(a[1], a[3]))
 
