@@ -28,7 +28,8 @@ from twin.control.reference import Reference, check, make_reference
 from twin.errors import BadInput
 from twin.model.fitted_model import Model
 from twin.model.stepper import EVERYTHING, STATES
-from twin.simulation.kernel import known_vector, module_of, start_state, vector
+from twin.simulation.compile_cache import module_of
+from twin.simulation.kernel import known_vector, start_state, vector
 
 FloatArray = NDArray[np.float64]
 DRAWS = 200
@@ -54,8 +55,8 @@ def kernel_text() -> str:
     loop = _Plant().visit(ast.parse(textwrap.dedent(inspect.getsource(control_law.follow))))
     text = control_law.write_switched() + "\n\n"
     text += ast.unparse(resolve(ast.unparse(ast.fix_missing_locations(loop)), numbering(EVERYTHING, True)))
-    text = text.replace("\ndef ", "\n@njit(cache=True, nogil=True, error_model='numpy')\ndef ")
-    return "from numba import njit\n" + text + "\n"
+    text = text.replace("\ndef ", "\n@kept\n@njit(nogil=True, error_model='numpy')\ndef ")
+    return "from numba import njit\nfrom twin.simulation.compile_cache import kept\n" + text + "\n"
 
 
 @cache

@@ -18,7 +18,7 @@ from twin.io.position_loop import own_loop
 from twin.io.recording import Recording, to_fit
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
-from twin.simulation import kernel
+from twin.simulation import compile_cache, kernel
 
 Progress = Callable[[str, float], None]
 
@@ -84,7 +84,7 @@ def changed_structure(structure: Structure, include: Iterable[str] = (), exclude
 def compile_kernel(tell: Progress) -> None:
     """Compile where this machine has not yet; that takes half a minute, once."""
     loaded = kernel.compiled()
-    if not any(kernel.cache_folder().glob(f"**/{loaded.__name__}*.nbi")):
+    if not compile_cache.is_compiled(loaded.__name__):
         tell("compiling the kernel, once on this machine (half a minute)", 0.0)
     kernel.warm(preparation.base_structure())
 

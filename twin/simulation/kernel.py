@@ -1,22 +1,18 @@
 """The compiled kernel: one for all structures (shapes without a name have a second), written from the laws.
 
-The text is written to the user's cache folder, under the hash of the files that it comes from, and compiled there
-by numba, which keeps the machine code beside it. A changed law is another hash is another file.
+Its code and the machine code that numba makes of it are kept in the user's cache folder (`compile_cache`), under the
+hash of the files that they come from. A changed law is another hash is another file.
 """
 
 from __future__ import annotations
 
 import ast
 import hashlib
-import importlib.util
 import inspect
 import math
-import os
 import re
-import sys
-import tempfile
 import textwrap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -35,6 +31,7 @@ from twin.codegen.simd_derivatives import PRECISION, WIDTH
 from twin.effects.catalogue import BASE, UNKNOWN
 from twin.effects.effect import SLOTS
 from twin.model.stepper import EVERYTHING, KNOWN, STATES, Structure
+from twin.simulation.compile_cache import module_of
 
 FloatArray = NDArray[np.float64]
 Lanes = NDArray[np.float32]
@@ -53,7 +50,8 @@ _LOOPS = (
 _HEAD = """import numpy as np
 from math import cos, exp, log, sin, sqrt, tanh
 from numba import njit
-from twin.codegen.simd_derivatives import numbers, put, row, settled, zero"""
+from twin.codegen.simd_derivatives import numbers, put, row, settled, zero
+from twin.simulation.compile_cache import kept"""
 
 #: What the commonest structures consist of: the base and any of these. They have a stepper of their own, from the
 #: same text, that does not ask for anything else.
@@ -75,15 +73,6 @@ _LOADING = Lock()
 #: common stepper follow them.
 INDEX: dict[str, int] = {p.name: i for i, p in enumerate(EVERYTHING.parameters)}
 _UNKNOWN = [len(INDEX) + EVERYTHING.ids.index(i) for i in UNKNOWN]
-
-
-def cache_folder() -> Path:
-    """Where compiled kernels are kept: $TWIN_CACHE, or the platform's cache folder."""
-    if chosen := os.environ.get("TWIN_CACHE"):
-        return Path(chosen)
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", tempfile.gettempdir())) / "twin"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "twin"
 
 
 class _Index(ast.NodeTransformer):
@@ -116,7 +105,7 @@ def kernel_text(offered: Structure) -> str:
     # Without a common stepper the loops have no switch to it.
     switches = every if len(steppers) > 1 else numbers
     driven = ast.unparse(resolve(ast.unparse(_Index().visit(ast.parse(loops))), switches))
-    cached = re.sub(r"^def ", "@njit(error_model='numpy', nogil=True, cache=True)\ndef ", driven, flags=re.M)
+    cached = re.sub(r"^def ", "@kept\n@njit(error_model='numpy', nogil=True)\ndef ", driven, flags=re.M)
     return "\n\n\n".join([_HEAD, inlined, cached]) + "\n"
 
 
@@ -139,32 +128,6 @@ def _fingerprint(offered: Structure) -> str:
     for path in (file for pattern in _SOURCES for file in sorted(root.glob(pattern))):
         digest.update(_code(path.read_text(encoding="utf-8")).encode())
     return digest.hexdigest()[:16]
-
-
-def _place() -> Path:
-    """A folder that can be written to, for kernels."""
-    folder = cache_folder()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return folder
-    except OSError:
-        return Path(tempfile.mkdtemp(prefix="twin-"))
-
-
-def module_of(name: str, text: Callable[[], str]) -> ModuleType:
-    """The module of this name from the cache; `text` is asked for its source on the first call on a machine."""
-    path = _place() / f"{name}.py"
-    if not path.exists():
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".py", delete=False) as draft:
-            draft.write(text().encode())
-        Path(draft.name).replace(path)
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None
-    loaded = importlib.util.module_from_spec(spec)
-    sys.modules[name] = loaded
-    spec.loader.exec_module(loaded)
-    return loaded
 
 
 @cache
