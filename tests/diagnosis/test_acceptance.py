@@ -9,7 +9,7 @@ import pytest
 from axis_runs import run, steps
 
 from twin.diagnosis import acceptance, cross_validation
-from twin.estimation import optimizer, preparation
+from twin.estimation import likelihood, optimizer, preparation
 from twin.estimation.fit import Fit
 from twin.estimation.problem import FitProblem, free_parameters
 from twin.io.recording import Recording
@@ -79,3 +79,31 @@ def test_what_one_of_three_recordings_shows_is_not_borne_out() -> None:
     assert (gains > 0.0).tolist() == [False, False, True]
     failed = acceptance.not_borne_out(problem, larger, FIRST, {"constant_offset": without})
     assert failed is not None and failed.figure == 1.0 and "1 of 3" in failed.reason
+
+
+def test_a_size_at_its_bound_is_not_borne_out() -> None:
+    structure = FIRST.with_("load_dependent_friction")
+    values = preparation.complete_values(structure, {**VALUES, "load_friction": 0.3})
+    problem = preparation.prepare_recordings([made(structure, values, 9)], structure)
+    point = fitted(problem, structure, values)
+    assert acceptance.not_borne_out(problem, point, FIRST, {}) is None
+    failed = acceptance.not_borne_out(
+        problem, replace(point, values={**point.values, "load_friction": 0.95}), FIRST, {}
+    )
+    assert failed is not None and "bound of 0.95" in failed.reason and failed.figure == 0.95
+
+
+@pytest.mark.parametrize("true", [True, False])
+def test_a_name_has_to_predict_blocks_that_it_was_not_fitted_to(true: bool) -> None:
+    """A spring that is there helps in the free run; one of the wrong sign, held there, does harm."""
+    structure = FIRST.with_("spring")
+    values = {**VALUES, "spring_stiffness": 3.0, "spring_rest": 0.2}
+    problem = preparation.prepare_recordings([made(structure, values, 11)], structure)
+    larger, without = fitted(problem, structure, values), fitted(problem, FIRST, VALUES)
+    if not true:
+        held = {**larger.values, "spring_stiffness": -1.0}
+        larger = likelihood.evaluate(problem.at(larger.process_noise), structure, held, without.free)
+    failed = acceptance.not_borne_out(problem, larger, FIRST, {"spring": without})
+    assert (failed is None) is true
+    if failed is not None:
+        assert failed.id == "spring" and failed.figure > 1.05 and "left out" in failed.reason

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin.diagnosis.free_run_error import free_run_errors, sentences
+from twin.diagnosis.free_run_error import compare_horizon, free_run_errors, sentences
+from twin.estimation import maximum_likelihood
 from twin.io.recording import Recording
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
@@ -35,3 +36,13 @@ def test_a_model_that_lacks_friction_is_warned_of() -> None:
     errors = free_run_errors(Model(FIRST, VALUES), [recording])
     assert errors[0].depends_on
     assert any("lacks physics" in s and "twin diagnose" in s for s in sentences(errors, "rad"))
+
+
+def test_both_kinds_of_values_are_held_against_each_other_on_held_out_data() -> None:
+    recording = made(FIRST.with_("motor_lag"), lag_time=0.05)
+    model = maximum_likelihood.identify([recording], FIRST)
+    compared = compare_horizon(model, [recording], 10.0, False)
+    assert 0.0 < compared.for_horizon < compared.likeliest
+    said = compared.sentence(10.0, "rad")
+    assert "those for the horizon are better" in said
+    assert f"{compared.likeliest:.3g} rad" in said and f"{compared.for_horizon:.3g} rad" in said

@@ -38,6 +38,10 @@ def _identify(args: argparse.Namespace) -> int:
         from twin.diagnosis import free_run_error  # late: bad input is refused without it
 
         errors = free_run_error.free_run_errors(found, to_fit(recordings), args.closed_loop)
+        compared = None
+        if args.horizon is not None:
+            tell("both kinds of values on held-out data", 0.95)
+            compared = free_run_error.compare_horizon(found, recordings, args.horizon, args.closed_loop)
     files.put(args.out, fitted_model.dumps(found))
     said = [
         *assumption_lines(rig),
@@ -48,6 +52,8 @@ def _identify(args: argparse.Namespace) -> int:
         *prior_sentences(found),
         *free_run_error.sentences(errors, recordings[0].output_unit),
     ]
+    if compared is not None:
+        said.append(compared.sentence(args.horizon, recordings[0].output_unit))
     answer = {
         "format": "twin-identify/1",
         "model": str(args.out),
@@ -65,6 +71,7 @@ def _identify(args: argparse.Namespace) -> int:
             }
             for e in errors
         ],
+        "held_out": None if compared is None else vars(compared),
         "recording_faults": faults_of(recordings),
         "assumed": list(rig.assumed),
     }

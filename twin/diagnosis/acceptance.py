@@ -10,9 +10,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from twin.diagnosis import cross_validation, thresholds
+from twin.diagnosis import block_validation, cross_validation, thresholds
 from twin.diagnosis.result import NotBorneOut
 from twin.effects.catalogue import EFFECTS, pages
+from twin.effects.parameter import Parameter
 from twin.estimation import maximum_likelihood, parameter_bounds
 from twin.estimation.fit import Fit
 from twin.estimation.problem import FitProblem
@@ -24,13 +25,18 @@ def _names(fit: Fit, first: Structure) -> list[str]:
     return [i for i in fit.structure.named if i not in first and EFFECTS[i].screen is not None]
 
 
+def _size_of(name: str) -> Parameter:
+    """The parameter that says how large the effect is."""
+    screen = EFFECTS[name].screen
+    assert screen is not None
+    return next(p for page in pages(name) for p in page.parameters if p.name == screen.gain)
+
+
 def _too_small(problem: FitProblem, fit: Fit, first: Structure) -> Iterator[NotBorneOut]:
     """The names whose size is less than three of its standard errors."""
     covariance = maximum_likelihood.covariance_of(problem, fit)
     for name in _names(fit, first):
-        screen = EFFECTS[name].screen
-        assert screen is not None
-        size = next(p for page in pages(name) for p in page.parameters if p.name == screen.gain)
+        size = _size_of(name)
         if size.name not in fit.free or (size.neutral is None and size.lower != 0.0):
             continue
         value, index = fit.values[size.name] - (size.neutral or 0.0), fit.free.index(size.name)
@@ -41,8 +47,12 @@ def _too_small(problem: FitProblem, fit: Fit, first: Structure) -> Iterator[NotB
 
 
 def _impossible(problem: FitProblem, fit: Fit, first: Structure) -> Iterator[NotBorneOut]:
-    """The names whose values no machine has: a time constant at its bound, dry friction that pushes."""
+    """The names whose values no machine has: a size or time constant at its bound, dry friction that pushes."""
     for name in _names(fit, first):
+        size = _size_of(name)
+        at = fit.values[size.name]
+        if size.name in fit.free and at in parameter_bounds.bounds_of(size.name) and at not in (0.0, size.neutral):
+            yield NotBorneOut(name, f"its size {size.name} ends at its bound of {at:g}, and so is no estimate", at)
         for p in EFFECTS[name].parameters:
             at = fit.values[p.name]
             if p.unit == "s" and p.name in fit.free and at in parameter_bounds.bounds_of(p.name) and at != p.neutral:
@@ -67,6 +77,16 @@ def _few_recordings(problem: FitProblem, fit: Fit, lesser: dict[str, Fit]) -> It
             yield NotBorneOut(name, reason, float(better))
 
 
+def _no_help_ahead(problem: FitProblem, fit: Fit, lesser: dict[str, Fit]) -> Iterator[NotBorneOut]:
+    """The names with which predictions are worse on blocks that they were not fitted to, one second ahead or freely."""
+    for name, without in lesser.items():
+        for ahead, ratio in block_validation.error_ratios(problem, without, fit):
+            if ratio > thresholds.MAX_ERROR_RATIO:
+                span = f"{ahead:g} s ahead" if math.isfinite(ahead) else "in the free run"
+                reason = f"{span} the error on blocks that were left out is {ratio:.2f} times that without it"
+                yield NotBorneOut(name, reason, ratio)
+
+
 def not_borne_out(problem: FitProblem, fit: Fit, first: Structure, lesser: dict[str, Fit]) -> NotBorneOut | None:
     """The name that the figures contradict most clearly, or none.
 
@@ -85,4 +105,5 @@ def not_borne_out(problem: FitProblem, fit: Fit, first: Structure, lesser: dict[
     if impossible is not None:
         return impossible
     small = min(_too_small(problem, fit, first), key=lambda n: n.figure, default=None)
-    return small or next(_few_recordings(problem, fit, lesser), None)
+    few = small or next(_few_recordings(problem, fit, lesser), None)
+    return few or max(_no_help_ahead(problem, fit, lesser), key=lambda n: n.figure, default=None)

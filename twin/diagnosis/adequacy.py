@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnosis import data_split, drift, free_run, residual_torque
+from twin.diagnosis import coverage, data_split, drift, free_run, residual_torque
 from twin.diagnosis.coverage import Beyond
 from twin.diagnosis.data_split import RecordingPart
 from twin.diagnosis.drift import MeanSquare
@@ -23,6 +23,7 @@ from twin.estimation import likelihood, optimizer, parameter_bounds, preparation
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
 from twin.estimation.problem import FitProblem
+from twin.model import equations
 from twin.model.stepper import Structure
 from twin.parallel import each
 
@@ -185,7 +186,8 @@ class TorqueFigures:
     """The torque that the first and the last model lack, root mean square over the fitted recordings, as acceleration.
 
     `share_left` is the second over the first and `of_drive` the second over what the drive made, both beyond what the
-    noise of the readings makes, which is `by_reading`. NaN where there is nothing to compare with.
+    noise of the readings makes, which is `by_reading`; `drive` is what the drive made. NaN where there is nothing to
+    compare with.
     """
 
     before: float = math.nan
@@ -194,6 +196,12 @@ class TorqueFigures:
     share_left: float = math.nan
     of_drive: float = math.nan
     unit: str = "rad/s^2"
+    drive: float = math.nan
+
+    @property
+    def is_hidden(self) -> bool:
+        """Whether what is beyond the noise of the readings is less than half of that noise: it then is not measured."""
+        return self.after**2 - self.by_reading**2 < 0.25 * self.by_reading**2
 
 
 def _drive_torque(case: PreparedRecording, values: Mapping[str, float]) -> FloatArray:
@@ -233,7 +241,8 @@ def missing_torque(problem: FitProblem, before: Fit, after: Fit) -> TorqueFigure
     drive = _rms(_drive_torque(c, after.values) for c in problem.recordings)
     unit = f"{problem.recordings[0].recording.output_unit.removesuffix('/s')}/s^2"
     share = rest[1] / rest[0] if rest[0] > 0.0 else math.nan
-    return TorqueFigures(sizes[0], sizes[1], floors[1], share, rest[1] / drive if drive > 0.0 else math.nan, unit)
+    of_drive = rest[1] / drive if drive > 0.0 else math.nan
+    return TorqueFigures(sizes[0], sizes[1], floors[1], share, of_drive, unit, drive)
 
 
 # ---- all figures ----
@@ -299,7 +308,10 @@ def measure(
         same = prepared.on([replace(r, reading_variance=variance) for r in prepared.recordings])
         runs["holdout"], own = compare(parts, same, points, False)
         rows += [("holdout", *row) for row in own]
-    return Adequacy(runs, tuple(rows), missing_torque(problem, *points), tuple(beyond))
+    later = (
+        coverage.later([r.recording for r in problem.recordings], held_out) if equations.timed(after.structure) else []
+    )
+    return Adequacy(runs, tuple(rows), missing_torque(problem, *points), (*beyond, *later))
 
 
 def unchanged(figures: Adequacy) -> Adequacy:

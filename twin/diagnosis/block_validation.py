@@ -13,13 +13,15 @@ import numpy as np
 
 from twin.diagnosis import data_split, free_run
 from twin.diagnosis.data_split import RecordingPart
-from twin.estimation import optimizer, preparation
+from twin.estimation import likelihood, optimizer, preparation
 from twin.estimation.fit import Fit
 from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording
 
 #: Which blocks of a recording are left out, as shares of its readings.
 LEFT_OUT = ((0.15, 0.25), (0.45, 0.55), (0.75, 0.85))
+#: How far ahead a name is asked to predict, s; the search itself looks a tenth of a second ahead.
+HORIZONS = (1.0, math.inf)
 #: Points at which noise is followed while the start of a run is read.
 _POINTS = 20
 
@@ -58,6 +60,33 @@ def without_blocks(problem: FitProblem, smaller: Fit, larger: Fit) -> Fit:
         return larger
     rest = problem.on(masked).at(larger.process_noise)
     return optimizer.levenberg_marquardt(rest, larger.structure, larger.values, own)
+
+
+def prediction_rmse(problem: FitProblem, point: Fit, ahead: float) -> float:
+    """RMSE in the blocks of predictions up to so many seconds ahead, or of free runs where that is infinite."""
+    if math.isinf(ahead):
+        return free_run_rmse(problem, point)
+    squares, count = 0.0, 0
+    for case in problem.stepped(point.structure):
+        running = likelihood.with_free_runs(case, problem.process_noise, ahead)
+        error = likelihood.innovations(running, point.structure, point.values, problem.process_noise).error
+        inside = np.any([part.inside for part in blocks_of(case.recording)], axis=0)
+        judged = inside & running.free_run & np.isfinite(error)
+        squares, count = squares + float(np.sum(error[judged] ** 2)), count + int(np.count_nonzero(judged))
+    return math.sqrt(squares / count) if count else math.nan
+
+
+def error_ratios(problem: FitProblem, smaller: Fit, larger: Fit) -> list[tuple[float, float]]:
+    """How far ahead (s), and the larger model's error there over the smaller one's, on blocks that its own part was not
+    fitted to.
+    """
+    problem, found = problem.at(larger.process_noise), without_blocks(problem, smaller, larger)
+    out = []
+    for ahead in HORIZONS:
+        before, after = (prediction_rmse(problem, p, ahead) for p in (smaller, found))
+        if before > 0.0:
+            out.append((ahead, after / before))
+    return out
 
 
 def improves(problem: FitProblem, smaller: Fit, larger: Fit) -> bool:

@@ -91,6 +91,21 @@ def beyond(train: Sequence[Recording], held_out: Sequence[RecordingPart]) -> lis
     return found
 
 
+def later(train: Sequence[Recording], held_out: Sequence[RecordingPart]) -> list[Beyond]:
+    """The time since the start where the held-out part goes on for longer than any fitted one, by more than `ROOM`.
+
+    It matters to models whose physics depends on it, as a motor that warms does: to any other all times are alike.
+    """
+    tested = [p.recording.time[p.inside & np.isfinite(p.recording.output)] for p in held_out]
+    ends = [float(t[-1]) for t in tested if len(t)]
+    if not ends:
+        return []
+    begins = min(float(t[0]) for t in tested if len(t))
+    fitted = max(float(r.time[np.isfinite(r.output)][-1]) for r in train)
+    one = Beyond("time", (0.0, fitted), (begins, max(ends)))
+    return [one] if one.excess > ROOM else []
+
+
 @dataclass(frozen=True, eq=False)
 class Choice:
     """What to hold out: where, what leaves the fitted range still, and what would have left it at the end."""

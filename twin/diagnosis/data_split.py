@@ -84,11 +84,11 @@ def led(
     runs, inside = [], []
     for part in parts:
         begin = 0.0
-        if not timed(structure):
+        if not (part.whole or timed(structure)):
             time = part.recording.time
             read = time[np.isfinite(part.recording.output) & (time >= part.begin - lead)]
             begin = float(read[0]) if len(read) and read[0] < part.end else max(part.begin - lead, 0.0)
-        run = part.recording.part(begin, part.end)
+        run = part.recording if part.whole else part.recording.part(begin, part.end)
         shift = float(part.recording.time[part.recording.time >= begin][0])
         runs.append(run)
         inside.append(RecordingPart(run, part.begin - shift, part.end - shift))

@@ -509,7 +509,7 @@ def diagnose(
     lap("term without a name")
     # What was dropped may have come back in another's place.
     failed = [n for n in failed if n.id not in found.last.structure]
-    said += [f"{n.id} was tried and is not borne out: {n.reason}." for n in failed]
+    said += [f"Tried, not borne out: {EFFECTS[n.id].title}; {n.reason}." for n in failed]
     said += _unequal_dead_bands(found.last, recordings[0].input_unit)
     tell("fitting both models to the end", 0.87)
     judged, last_point = foreseen if found.last is seen else _fit_with_longest_memory(found)

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from twin.diagnosis import holdout, model_comparison, nonparametric
-from twin.estimation import prepared_recording
+import numpy as np
+
+from twin.diagnosis import data_split, holdout, model_comparison, nonparametric
+from twin.estimation import horizon as best_over
+from twin.estimation import maximum_likelihood, multistart, optimizer, preparation, prepared_recording
 from twin.io.recording import Recording
 from twin.model.fitted_model import Model
 
@@ -80,3 +83,55 @@ def sentences(errors: Sequence[FreeRunError], unit: str) -> list[str]:
             "Run twin diagnose; until then a fit over a horizon serves long runs better."
         )
     return said
+
+
+@dataclass(frozen=True)
+class HorizonComparison:
+    """RMSE of free runs through held-out data (output unit) of the likeliest values and of those for a horizon.
+
+    Both were fitted without that data, for this comparison alone.
+    """
+
+    likeliest: float
+    for_horizon: float
+
+    def sentence(self, horizon: float, unit: str) -> str:
+        """Which values run better on held-out data, with both errors."""
+        better = "those for the horizon" if self.for_horizon < self.likeliest else "the likeliest, without --horizon,"
+        return (
+            f"on data held out for this comparison the free run errs {self.likeliest:.3g} {unit} with the likeliest "
+            f"values and {self.for_horizon:.3g} {unit} with those for {horizon:g} s: {better} are better there"
+        )
+
+
+def compare_horizon(model: Model, recordings: Sequence[Recording], horizon: float, closed: bool) -> HorizonComparison:
+    """Fit both kinds of values without the held-out part, and run both through it.
+
+    Parameters
+    ----------
+    model
+        A model of all training recordings: both fits begin at its values.
+    recordings
+        The same recordings; those with the role "holdout" are held out, or the end of each if there are none.
+    horizon
+        s.
+    closed
+        Whether to predict under the rig's own position loop over the horizon.
+
+    Raises
+    ------
+    BadInput
+        Where nothing is to be fitted.
+    """
+    train, held_out = data_split.split(recordings)
+    problem = preparation.prepare_recordings(train, model.structure)
+    problem = multistart.choose_initial_contacts(problem, model.structure, model.values)
+    density = model.torque_density / model.reading_std**2
+    fit = optimizer.levenberg_marquardt(problem.at(density), model.structure, model.values, model.fitted)
+    likeliest = maximum_likelihood.to_model(problem, fit, train)
+    longest = min(horizon, max(float(r.time[-1]) for r in train))
+    ahead = best_over.for_horizon(likeliest, train, longest, closed)
+    traces = holdout.traces(likeliest, ahead, [("holdout", p) for p in held_out], closed)
+    recorded = np.concatenate([t.recorded for t in traces])
+    errors = [np.concatenate([getattr(t, when) for t in traces]) for when in ("before", "after")]
+    return HorizonComparison(*(model_comparison.rmse(recorded, e)[0] for e in errors))

@@ -106,6 +106,10 @@ MIN_SIZE_IN_ERRORS = 3.0
 #: Recordings from which on most of them must be predicted better with a name.
 MIN_RECORDINGS = 3
 
+#: Error on blocks that were left out over the same without a name, from which on the name is refuted: where noise makes
+#: most of both errors they differ by a few percent.
+MAX_ERROR_RATIO = 1.05
+
 # ---- what is left in the missing torque (nonparametric) ----
 
 #: p-value of the dependence test below which something is left.

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from twin.diagnosis.adequacy import Adequacy, Comparison, FreeRun
+from twin.diagnosis.adequacy import Adequacy, Comparison, FreeRun, TorqueFigures
 from twin.diagnosis.result import Estimate, Finding, NotBorneOut
 from twin.effects.catalogue import EFFECTS
 from twin.model.stepper import Structure
@@ -120,9 +120,7 @@ def objections(figures: Adequacy, findings: Sequence[Finding]) -> list[str]:
     return said
 
 
-def decide(
-    figures: Adequacy, findings: Sequence[Finding], left: bool, drawn: bool, blocked: Sequence[str] = ()
-) -> Claims:
+def decide(figures: Adequacy, findings: Sequence[Finding], left: bool, drawn: bool) -> Claims:
     """The verdict, and what the figures allow to be claimed in one sentence.
 
     Parameters
@@ -135,15 +133,11 @@ def decide(
         Whether the torque that the last model lacks still goes with something, beyond chance.
     drawn : bool
         Whether a curve without a name is part of the last model.
-    blocked : sequence of str
-        Reasons for which the recording allows no claim at all.
     """
     against = objections(figures, findings)
     held_out = figures.free_run.get("holdout")
     beyond_only = bool(figures.beyond_training) and held_out is not None and is_off(held_out.after, held_out.span)
-    if blocked:
-        verdict = "inconclusive"
-    elif not (left or against or drawn):
+    if not (left or against or drawn):
         verdict = "explained" if findings else "nothing_missing"
     elif findings and not vetoed(figures):
         verdict = "partly_explained"
@@ -151,7 +145,7 @@ def decide(
         verdict = "inconclusive"
     else:
         verdict = "unexplained"
-    return Claims(verdict, sentence(verdict, figures, against, blocked), tuple(against))
+    return Claims(verdict, sentence(verdict, figures, against), tuple(against))
 
 
 _OPENINGS: Mapping[str, str] = {
@@ -182,19 +176,27 @@ def _on_held_out(run: FreeRun) -> str:
     )
 
 
-def sentence(verdict: str, figures: Adequacy, against: Sequence[str], blocked: Sequence[str] = ()) -> str:
+def sentence(verdict: str, figures: Adequacy, against: Sequence[str]) -> str:
     """What the figures allow to be claimed, in one sentence."""
-    if blocked:
-        return f"{_OPENINGS['inconclusive']}: {blocked[0]}."
     held_out, torque = figures.free_run.get("holdout"), figures.missing_torque
     facts = list(against[:2]) or ([_on_held_out(held_out.after)] if held_out is not None else [])
     if not against and math.isfinite(torque.of_drive):
-        facts.append(f"the torque that it lacks is {_percent(torque.of_drive)} of the drive's")
-    if figures.beyond_training:
-        names = ", ".join(f"{b.variable} beyond {b.train[0]:.3g} to {b.train[1]:.3g}" for b in figures.beyond_training)
+        facts.append(_lacking(torque))
+    # Later times are untested wherever the end is held out: that is worth a word where something is off.
+    beyond = [b for b in figures.beyond_training if against or b.variable != "time"]
+    if beyond:
+        names = ", ".join(f"{b.variable} beyond {b.train[0]:.3g} to {b.train[1]:.3g}" for b in beyond)
         facts.append(f"nothing was fitted at {names}")
     opening = _OPENINGS[verdict] if against or verdict not in _WITHOUT_NAME else _WITHOUT_NAME[verdict]
     return f"{opening}: {'; '.join(f for f in facts if f)}." if any(facts) else f"{opening}."
+
+
+def _lacking(torque: TorqueFigures) -> str:
+    """The torque that the last model lacks, against the drive's."""
+    if torque.is_hidden and torque.drive > 0.0:
+        noise = _percent(torque.by_reading / torque.drive)
+        return f"the torque that it lacks is hidden by the noise of the readings, which makes {noise} of the drive's"
+    return f"the torque that it lacks is {_percent(torque.of_drive)} of the drive's"
 
 
 def _percent(share: float) -> str:
