@@ -75,3 +75,15 @@ def test_wear_is_forecast() -> None:
     assert found.recordings == pytest.approx(10.0, abs=2.0)
     with pytest.raises(BadInput, match="three recordings"):
         forecast(track(model, fits[:2]), "viscous_friction", limit)
+
+
+def test_parameters_of_very_different_sizes_are_pooled_each_with_its_own_error() -> None:
+    """A dead band known to 2 % beside an input gain known to 1e-7: neither hides the other."""
+    model = replace(model_of(), notes={}, intervals={})
+    errors = dict.fromkeys(model.fitted, 0.01) | {"input_gain": 1e-7, "dead_band_forward": 2.0}
+    names = model.fitted
+    model = replace(model, covariance=np.diag([errors[n] ** 2 for n in names]))
+    pooled = pool([model] * 4)
+    for n in names:
+        assert pooled.std(n) == pytest.approx(0.5 * errors[n])
+        assert pooled.values[n] == pytest.approx(model.values[n])

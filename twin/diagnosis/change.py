@@ -169,8 +169,12 @@ def _excess(model: Model, name: str) -> float:
     return max(0.0, ((high - low) / (2.0 * 1.96)) ** 2 - model.std(name) ** 2)
 
 
-def _information(spread: FloatArray) -> FloatArray:
-    """Inverse (n, n) of a covariance; nothing in directions of which nothing is known."""
+def scaled_inverse(spread: FloatArray) -> FloatArray:
+    """Inverse (n, n) of a covariance, or of an information, whose parameters may be of any size.
+
+    It is taken of the correlations. A direction in which these leave next to nothing counts as known to 1e-5 of the
+    parameters' own errors, and no better.
+    """
     size = np.sqrt(np.diag(spread))
     values, vectors = np.linalg.eigh(spread / np.outer(size, size))
     return np.asarray((vectors / np.maximum(values, 1e-10)) @ vectors.T / np.outer(size, size))
@@ -224,7 +228,7 @@ def compare_models(before: Model, after: Model, false_alarms: float = FALSE_ALAR
     coordinates = _coordinates(before, after, names)
     d = np.array([c.difference for c in coordinates])
     spread = _spread(before, names, coordinates) + _spread(after, names, coordinates)
-    information = _information(spread)
+    information = scaled_inverse(spread)
     directions = {n: np.eye(len(names))[i] for i, n in enumerate(names)}
     inertia = np.array([c.per_inertia for c in coordinates])
     if np.count_nonzero(inertia) > 1:

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnosis.change import Change, compare_models
+from twin.diagnosis.change import Change, compare_models, scaled_inverse
 from twin.errors import BadInput
 from twin.model.fitted_model import Model
 
@@ -92,17 +92,17 @@ def pool(fits: Sequence[Model]) -> Model:
     first = fits[0]
     if any(f.structure != first.structure for f in fits):
         raise BadInput("fits of different structures cannot be pooled")
-    names = [n for n in first.fitted if all(n in f.fitted and math.isfinite(f.std(n)) for f in fits)]
+    names = [n for n in first.fitted if all(n in f.fitted and 0.0 < f.std(n) < math.inf for f in fits)]
     if not names:
         raise BadInput("the fits hold no standard errors: make them with twin identify")
     total, weighted = np.zeros((len(names), len(names))), np.zeros(len(names))
     reference = np.array([first.values[n] for n in names])
     for fit in fits:
         rows = [fit.fitted.index(n) for n in names]
-        information = np.linalg.pinv(fit.covariance[np.ix_(rows, rows)], rcond=1e-12, hermitian=True)
+        information = scaled_inverse(fit.covariance[np.ix_(rows, rows)])
         total += information
         weighted += information @ (np.array([fit.values[n] for n in names]) - reference)
-    covariance = np.asarray(np.linalg.pinv(total, rcond=1e-12, hermitian=True))
+    covariance = scaled_inverse(total)
     values = reference + covariance @ weighted
     low = np.array([first.parameter(n).lower for n in names])
     high = np.array([first.parameter(n).upper for n in names])
