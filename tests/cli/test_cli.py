@@ -513,6 +513,14 @@ def test_the_first_model_is_the_users_choice(capsys, bench, known_answer):
         assert known_answer.first.ids == expected.ids
 
 
+def test_a_given_model_is_judged_as_it_is(capsys, bench, known_answer):
+    asked = ("diagnose", "good.csv", "--model", "base.toml", "--out", "judged.toml", "--json", "judged.json")
+    code, out, err = call(capsys, *asked)
+    assert code == 0, err
+    (fit,) = json.loads((bench / "judged.json").read_text())["given_model"].values()
+    assert fit["rmse"] > 0.0 and f"runs freely with an error of {fit['rmse']:.3g} rad" in out
+
+
 def test_run_leaves_everything_in_its_folder(capsys, bench, known_answer):
     code, out, err = call(capsys, "run", "good.csv", "--out", "out", "--bandwidth", "2", "--json", "run.json")
     assert code == 0, err

@@ -10,7 +10,7 @@ import pytest
 from example_diagnosis import model_of
 from scipy.stats import binomtest
 
-from twin.diagnosis.change import INERTIA, compare_models
+from twin.diagnosis.change import INERTIA, changes_sentence, compare_models
 from twin.errors import BadInput
 from twin.model.fitted_model import Model
 
@@ -83,6 +83,7 @@ def test_what_a_fit_cannot_fix_is_said_to_be_that() -> None:
     wide[i, i] = math.inf
     found = compare_models(model, replace(model, covariance=wide))
     assert found.undetermined == ("dead_band_reverse",) and found.found == ()
+    assert "The dead band reverse cannot be fixed by this recording" in changes_sentence(found)
 
 
 def test_a_gap_whose_profile_is_wide_has_not_changed() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 
 from twin.cli.command import Command, add_closed, add_log, add_out, add_structure, check_outputs, load
@@ -19,7 +18,7 @@ def _diagnose(args: argparse.Namespace) -> int:
         recordings, rig = load(args, tell)
         to_fit(recordings)  # before anything is compiled
         from twin.diagnosis import diagnose, result
-        from twin.diagnosis.change import changes_sentence, compare_models
+        from twin.diagnosis.api import against_given
         from twin.estimation import estimate
         from twin.io import files
         from twin.io.recording import as_told, check_units
@@ -39,10 +38,8 @@ def _diagnose(args: argparse.Namespace) -> int:
             recordings, structure, {} if given is None else estimate.held_parameters(given),
             progress=lambda s, x: tell(s, 0.05 + 0.9 * x), closed=args.closed_loop,
         )  # fmt: skip
-        same = given is not None and given.structure.named == d.likeliest.structure.named
-        if given is not None and same and given.fitted and d.likeliest.fitted:
-            changes = compare_models(given, d.likeliest)
-            d = replace(d, changes=changes.found, remarks=(changes_sentence(changes), *d.remarks))
+        if given is not None:
+            d = against_given(d, given, args.closed_loop)
         page = ""
         if args.report is not None:
             from twin.report import html

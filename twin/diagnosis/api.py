@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from twin.diagnosis import diagnose as search
-from twin.diagnosis.result import Diagnosis
+from twin.diagnosis import holdout, model_comparison
+from twin.diagnosis.change import changes_sentence, compare_models
+from twin.diagnosis.result import Diagnosis, Fitness
 from twin.diagnosis.tracking import FALSE_ALARMS, Track
 from twin.diagnosis.tracking import track as judge
 from twin.errors import BadInput
@@ -41,7 +44,8 @@ def diagnose(
     Returns
     -------
     Diagnosis
-        ``.verdict``, ``.findings``, ``.ranking``, ``.fit`` and ``.model``, the model with what was found.
+        ``.verdict``, ``.findings``, ``.ranking``, ``.fit`` and ``.model``, the model with what was found. Where a model
+        was given: ``.given_fit``, how it runs freely as it is, and ``.changes`` of its parameters.
 
     Raises
     ------
@@ -50,6 +54,7 @@ def diagnose(
     """
     recordings, tell = as_list(recordings), progress or (lambda sentence, share: None)
     held: dict[str, float] = {}
+    given = first if isinstance(first, Model) else None
     if isinstance(first, Model):
         for r in recordings:
             check_units(r, "the first model", first.input_unit, first.axis_unit)
@@ -61,7 +66,39 @@ def diagnose(
         recordings, structure, held, progress=lambda s, x: tell(s, 0.05 + 0.95 * x), closed=closed_loop
     )
     before, after = (estimate.with_largest_command(m, recordings) for m in (found.before, found.after))
-    return replace(found, before=before, after=after)
+    found = replace(found, before=before, after=after)
+    return found if given is None else against_given(found, given, closed_loop)
+
+
+def against_given(found: Diagnosis, given: Model, closed_loop: bool = False) -> Diagnosis:
+    """The diagnosis, with how a model that was given runs freely as it is, and which of its parameters changed.
+
+    Parameters
+    ----------
+    found
+        Its first model has the given one's structure, or other effects, and then nothing can be compared.
+    given
+        The model as it was before these recordings.
+    closed_loop
+        Simulate the rig's own position loop from the recorded reference.
+    """
+    fits = {}
+    for r in found.recordings:
+        rmse, percent = model_comparison.rmse(r.output, holdout.simulate_recording(given, r, closed_loop))
+        fits[r.name] = Fitness(rmse, percent, math.nan)
+    worst = max(fits, key=lambda name: fits[name].nrmse_percent)
+    unit = found.recordings[0].output_unit
+    said = (
+        f"The given model as it is runs freely with an error of {fits[worst].rmse:.3g} {unit}, "
+        f"{fits[worst].nrmse_percent:.3g} % of the range{f', in {worst}' if len(fits) > 1 else ''}."
+    )
+    found = replace(found, given_fit=fits, remarks=(said, *found.remarks))
+    later = found.likeliest
+    if given.structure.named != later.structure.named or not given.fitted or not later.fitted:
+        return found
+    changes = compare_models(given, later)
+    remarks = (said, changes_sentence(changes), *found.remarks[1:])
+    return replace(found, changes=changes.found, remarks=remarks)
 
 
 def fit_again(model: Model, recordings: Recording | Sequence[Recording]) -> Model:

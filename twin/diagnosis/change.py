@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from twin.display.numbers import capital, listed
 from twin.effects.parameter import Parameter
 from twin.errors import BadInput
 from twin.model.fitted_model import Model
@@ -263,8 +264,13 @@ def to_json(changes: Sequence[Change]) -> list[dict[str, Any]]:
 
 def changes_sentence(changes: Changes) -> str:
     """What changed since the model was made, and what this recording cannot say, in plain words."""
-    lost = [n.replace("_", " ") for n in changes.undetermined]
-    unknown = f" This recording does not determine the {', the '.join(lost)}." if lost else ""
+    lost = [f"the {n.replace('_', ' ')}" for n in changes.undetermined]
+    they = "it" if len(lost) == 1 else "they"
+    unknown = (
+        f" {capital(listed(lost))} cannot be fixed by this recording: whether {they} changed is not known."
+        if lost
+        else ""
+    )
     if not changes.found:
         return f"None of the model's parameters changed.{unknown}"
     said = "; ".join(c.says for c in changes.found)

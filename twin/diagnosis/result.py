@@ -130,6 +130,7 @@ class Diagnosis(Tabular):
     remarks: tuple[str, ...] = ()  # sentences: criteria that disagree, what the recording cannot fix
     seconds: Mapping[str, float] = field(default_factory=dict)  # per stage
     changes: tuple[Change, ...] = ()  # from a model that was given to what this recording asks for
+    given_fit: Mapping[str, Fitness] = field(default_factory=dict)  # of that model as it is, by recording
     not_borne_out: tuple[NotBorneOut, ...] = ()  # names that were tried and failed
     adequacy: Adequacy = field(default_factory=Adequacy)
 
@@ -195,6 +196,7 @@ def to_json(diagnosis: Diagnosis, experiment_file: str = "") -> dict[str, Any]:
         "not_borne_out": [{"id": n.id, "reason": n.reason, "figure": n.figure} for n in d.not_borne_out],
         "remarks": list(d.remarks),
         "changes": change.to_json(d.changes),
+        "given_model": {name: _fitness(f) for name, f in d.given_fit.items()},
         "seconds": dict(d.seconds),
         "adequacy": adequacy.to_json(d.adequacy),
     }
