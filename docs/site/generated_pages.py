@@ -1,4 +1,4 @@
-"""The page of each effect in the documentation: its law, a picture of what it leaves in a recording, its rivals.
+"""The pages of the documentation that no file holds: one of each effect, and the gallery.
 
 MkDocs calls `on_files` before it builds the site. All that a page says stands on the effect's own page in
 `twin/effects`.
@@ -6,6 +6,7 @@ MkDocs calls `on_files` before it builds the site. All that a page says stands o
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -155,8 +156,42 @@ def overview(shown: list[Effect]) -> str:
     )
 
 
+GALLERY = """# Gallery
+
+Six reports on simulated axes, one of each kind of answer. `python scripts/gallery.py` makes the recordings and asks twin;
+each report lies beside its recording.
+
+| report | what was done to the axis |
+|---|---|
+"""
+REPORTS = {
+    "explained": ("Explained", "gravity was concealed"),
+    "nothing": ("Nothing is missing", "nothing was concealed"),
+    "cannot-tell": (
+        "Two effects that do the same",
+        "a constant torque was concealed, which unequal dead-bands imitate",
+    ),
+    "unknown": (
+        "Something without a name",
+        "a torque at one place of the travel was concealed, which no effect describes",
+    ),
+    "faults": ("A log with faults", "dry friction was concealed; readings froze, jumped and went missing"),
+    "speed-only": ("Only the speed was logged", "drag was concealed; the output is a tachometer in rpm"),
+}
+
+
+def gallery(folder: Path) -> str:
+    """The list of the reports; those that were made are linked."""
+    rows = []
+    for name, (title, done) in REPORTS.items():
+        there = (folder / "gallery" / name / "report.html").exists()
+        rows.append(f"| {f'[{title}](gallery/{name}/report.html)' if there else title} | {done} |")
+    return GALLERY + "\n".join(rows)
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """MkDocs' event: add the pages that no file holds."""
+    files.append(File.generated(config, "gallery.md", content=gallery(Path(config.docs_dir))))
     shown = [e for i, e in EFFECTS.items() if i not in UNKNOWN]
     files.append(File.generated(config, "effects/index.md", content=overview(shown)))
     for effect in shown:
