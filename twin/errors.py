@@ -12,6 +12,11 @@ class BadInput(Exception):
     """
 
 
+def install(extra: str, *packages: str) -> str:
+    """The commands that install an extra: from a clone of twin, or the packages by themselves."""
+    return f"pip install '.[{extra}]' in the clone of twin, or pip install {' '.join(packages)}"
+
+
 class StageFailed(Exception):
     """The main stage of a run failed; what could be done without it is in the run's folder.
 

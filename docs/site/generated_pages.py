@@ -158,8 +158,8 @@ def overview(shown: list[Effect]) -> str:
 
 GALLERY = """# Gallery
 
-Six reports on simulated axes, one of each kind of answer. `python scripts/gallery.py` makes the recordings and asks twin;
-each report lies beside its recording.
+Six reports on simulated axes, one of each kind of answer. `python scripts/gallery.py` makes the recordings and asks
+twin. Each report lies beside its recording.
 
 | report | what was done to the axis |
 |---|---|

@@ -21,7 +21,7 @@ from example_diagnosis import example, model_of, recording_of
 
 from twin import pipeline
 from twin.cli import output
-from twin.cli.main import EXAMPLES, _parser, main
+from twin.cli.main import COMMANDS, EXAMPLES, _parser, main
 from twin.control import controller, cosimulation, design
 from twin.diagnosis import diagnose, result
 from twin.effects.catalogue import EFFECTS, UNKNOWN
@@ -603,7 +603,7 @@ def test_without_a_compiler_a_run_says_what_to_install(capsys, bench, known_answ
     monkeypatch.delenv("CC", raising=False)
     code, out, _ = call(capsys, "run", "good.csv", "--out", "out")
     assert code == 0 and not (bench / "out/improved-native.fmu").exists()
-    assert "There is no improved-native.fmu: a native FMU needs a C compiler" in out and "pip install twin" in out
+    assert "There is no improved-native.fmu: a native FMU needs a C compiler" in out and "pip install ziglang" in out
 
 
 def test_a_controller_that_is_asked_for_and_cannot_be_made_is_exit_1(capsys, bench, known_answer):
@@ -715,3 +715,13 @@ def test_every_effect_can_be_shown(capsys):
 def test_the_example_of_a_command_is_one_that_it_takes(command):
     name, *given = EXAMPLES[command].split()
     assert name == "twin" and _parser().parse_args(given).command == command
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
+def test_completion_knows_every_command_and_needs_nothing_but_its_package(shell, capsys, monkeypatch):
+    assert main(["--completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert all(command.name in script for command in COMMANDS)
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    assert main(["--completion", shell]) == 2
+    assert "pip install shtab" in capsys.readouterr().err

@@ -312,7 +312,7 @@ def test_no_overwriting_and_no_half_file(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(compilers, "has_zig", lambda: False)
     monkeypatch.setattr(shutil, "which", lambda *_: None)
     monkeypatch.delenv("CC", raising=False)
-    with pytest.raises(BadInput, match=r"pip install twin\[native\]"):
+    with pytest.raises(BadInput, match=r"pip install ziglang"):
         export_native(model, out, force=True)
     assert out.read_text() == "mine" and list(tmp_path.iterdir()) == [out]
 

@@ -225,7 +225,7 @@ def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setitem(__import__("sys").modules, package, None)
     monkeypatch.setitem(__import__("sys").modules, f"{package}.reader", None)
     message = refused(tmp_path, b"x", name=name)
-    assert f"needs {package}: pip install twin[formats]" in message
+    assert f"needs {package}: pip install '.[formats]' in the clone of twin, or pip install {package}" in message
 
 
 def _loads_or_is_refused(folder: Path, name: str, log: bytes) -> None:

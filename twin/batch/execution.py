@@ -16,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from twin.errors import BadInput
+from twin.errors import BadInput, install
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -143,7 +143,7 @@ def run_on_cluster(work: Callable[[T], R], items: Sequence[T], address: str) -> 
         from distributed import Client
         from distributed import as_completed as completed
     except ImportError:
-        raise BadInput("`scheduler` needs dask and distributed: pip install 'twin[fleet]'") from None
+        raise BadInput(f"`scheduler` needs {install('fleet', 'dask', 'distributed')}") from None
     try:
         client = Client(address, timeout=ANSWER_TIME, set_as_default=False)
     except (OSError, ValueError) as error:

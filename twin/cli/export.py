@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from twin.cli.command import Command, add_out, check_outputs, load
 from twin.cli.output import answer_user, show_progress
-from twin.errors import BadInput
+from twin.errors import BadInput, install
 
 if TYPE_CHECKING:
     from twin.control.controller import Controller
@@ -84,7 +84,7 @@ def _runs_on(args: argparse.Namespace) -> str:
         return f"{where}, in hosts that run Python; --target native needs none."
     from twin.fmi.compilers import has_zig
 
-    return f"{where}." if has_zig() else f"{where} alone; `pip install twin[native]` compiles for all platforms."
+    return f"{where}." if has_zig() else f"{where} alone. For all platforms: {install('native', 'ziglang')}."
 
 
 def _carries(fmu: Path, result: Mapping[str, Any]) -> str:

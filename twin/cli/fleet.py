@@ -7,6 +7,7 @@ from pathlib import Path
 
 from twin.cli.command import Command, add_out
 from twin.cli.output import answer_user, show_progress
+from twin.errors import install
 
 
 def _fleet(args: argparse.Namespace) -> int:
@@ -20,7 +21,7 @@ def _fleet(args: argparse.Namespace) -> int:
         found = fleet(args.fleet, args.out, args.scheduler, args.force, tell)
     said = [*sentences(found), f"Everything is in {args.out / 'fleet.html'}."]
     if not (args.out / "fleet.parquet").exists():
-        said.append("fleet.parquet needs pyarrow (pip install 'twin[formats]'); fleet.csv holds the same.")
+        said.append(f"There is no fleet.parquet, but fleet.csv: {install('formats', 'pyarrow')}.")
     answer_user(args, said, to_json(found))
     return 1 if found.failed else 0
 

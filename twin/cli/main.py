@@ -20,7 +20,7 @@ from typing import NoReturn
 from twin.cli import control, cosim, diagnose, effects, export, fleet, identify, init, replay, run, serve, track
 from twin.cli.command import Command
 from twin.cli.output import printable
-from twin.errors import BadInput
+from twin.errors import BadInput, install
 
 #: Every command of the program, in the order of `twin --help`.
 COMMANDS: tuple[Command, ...] = (
@@ -85,6 +85,10 @@ def with_flags(message: str) -> str:
     return re.sub(r"`(?P<name>\w+)(?:=(?P<value>[^`]*))?`", flag, message)
 
 
+#: The shells that a script for completion can be had for.
+SHELLS = ("bash", "zsh", "tcsh")
+
+
 class _Parser(argparse.ArgumentParser):
     """Wrong arguments are bad input too: one line."""
 
@@ -115,6 +119,9 @@ def _parser() -> _Parser:
         "and to the physics that its model left out.",
     )
     parser.add_argument("--version", action="store_true", help="the version, and no more")
+    parser.add_argument(
+        "--completion", choices=SHELLS, metavar="SHELL", help="a script for the shell's completion: bash, zsh or tcsh"
+    )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=_Parser)
     for command in COMMANDS:
         example = EXAMPLES.get(command.name)
@@ -125,6 +132,14 @@ def _parser() -> _Parser:
         own.set_defaults(handler=command.handler)
         command.add_arguments(own)
     return parser
+
+
+def _completion(parser: _Parser, shell: str) -> str:
+    try:
+        import shtab
+    except ImportError:
+        raise BadInput(f"--completion needs shtab: {install('completion', 'shtab')}") from None
+    return str(shtab.complete(parser, shell))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -143,6 +158,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             from importlib.metadata import version
 
             print(f"twin {version('twin')}")
+            return 0
+        if args.completion:
+            print(_completion(parser, args.completion))
             return 0
         if args.command is None:
             parser.error("name a command, such as run")

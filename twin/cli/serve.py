@@ -8,7 +8,7 @@ from contextlib import suppress
 
 from twin.cli.command import Command
 from twin.cli.output import answer_user
-from twin.errors import BadInput
+from twin.errors import BadInput, install
 
 PORT = 8000
 
@@ -17,10 +17,7 @@ def _serve(args: argparse.Namespace) -> int:
     try:
         from twin.web import app
     except ModuleNotFoundError as missing:
-        raise BadInput(
-            f"twin serve needs the extra [web], of which {missing.name} is not installed: run "
-            "pip install '.[web]' in the clone of twin, or pip install starlette uvicorn"
-        ) from None
+        raise BadInput(f"twin serve needs {missing.name}: {install('web', 'starlette', 'uvicorn')}") from None
     listening = app.listen(args.port)
     address = f"http://127.0.0.1:{listening.getsockname()[1]}/"
     said = [f"Open {address} in a browser of this machine. Ctrl+C ends it, and removes what was uploaded."]

@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from twin.errors import BadInput
+from twin.errors import BadInput, install
 
 #: Nothing that changes a number: no fused operations; a root is an instruction, since nobody asks for errno.
 OPTIONS = (
@@ -86,7 +86,7 @@ def _here() -> Target:
             return replace(target, folders={**target.folders, 2: "linux64"}) if target.system == "Linux" else target
     raise BadInput(
         f"no FMI name is known for {platform.system()} on {machine}: "
-        "install `pip install twin[native]` and export for the platform of the importer"
+        f"{install('native', 'ziglang')}, and export for the platform of the importer"
     )
 
 
@@ -99,7 +99,7 @@ def compilers() -> tuple[Compiler, ...]:
     if local is None:
         raise BadInput(
             "a native FMU needs a C compiler and none was found: "
-            "install one for all platforms with `pip install twin[native]`"
+            f"for one that serves all platforms {install('native', 'ziglang')}"
         )
     return (Compiler(tuple(local.split()), _here()),)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from twin.errors import BadInput
+from twin.errors import BadInput, install
 
 FloatArray = npt.NDArray[np.float64]
 #: (stamps in s, values) of a signal with a clock of its own.
@@ -114,7 +114,7 @@ def read_bytes(path: Path) -> bytes:
 
 def missing_package(path: Path, package: str) -> BadInput:
     """What to say where a format needs a package that is not installed."""
-    return BadInput(f"{path}: reading {path.suffix or 'it'} needs {package}: pip install twin[formats]")
+    return BadInput(f"{path}: reading {path.suffix or 'it'} needs {package}: {install('formats', package)}")
 
 
 def unreadable(path: Path, kind: str, error: Exception | str) -> BadInput:
