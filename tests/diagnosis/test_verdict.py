@@ -118,3 +118,11 @@ def test_a_later_time_is_told_where_something_is_off() -> None:
     assert "time beyond" not in verdict.decide(replace(sound(), beyond_training=later), [], False, False).says
     claim = verdict.decide(replace(sound(off), beyond_training=later), [], False, False)
     assert claim.verdict == "unexplained" and "time beyond 0 to 42" in claim.says
+
+
+def test_names_that_leave_the_fitted_data_unexplained_are_not_called_the_cause() -> None:
+    half = Comparison(FreeRun(0.8, 0.012, 0.0), FreeRun(0.4, 0.012, 0.0), 3.0)
+    figures = replace(sound(), free_run={"train": half, "holdout": sound().free_run["holdout"]})
+    claim = verdict.decide(figures, [finding(3.0, 0.1)], False, False)
+    assert claim.verdict == "partly_explained"
+    assert "not bear out that what is named is the cause" in claim.says and "errs 50 % as much" in claim.says

@@ -157,6 +157,13 @@ _OPENINGS: Mapping[str, str] = {
 }
 
 
+#: Where the fitted data themselves are not followed: names may help by standing for something else.
+_NOT_THE_CAUSE = (
+    "The figures do not bear out that what is named is the cause, although with it the free run through the fitted "
+    "data errs {} as much"
+)
+
+
 #: The same where no figure speaks against the model, but something in it, or left by it, has no name.
 _WITHOUT_NAME: Mapping[str, str] = {
     "partly_explained": "The figures bear out what is named, and something without a name beside it",
@@ -187,7 +194,10 @@ def sentence(verdict: str, figures: Adequacy, against: Sequence[str]) -> str:
     if beyond:
         names = ", ".join(f"{b.variable} beyond {b.train[0]:.3g} to {b.train[1]:.3g}" for b in beyond)
         facts.append(f"nothing was fitted at {names}")
+    train = figures.free_run.get("train")
     opening = _OPENINGS[verdict] if against or verdict not in _WITHOUT_NAME else _WITHOUT_NAME[verdict]
+    if verdict == "partly_explained" and train is not None and is_off(train.after, train.span):
+        opening = _NOT_THE_CAUSE.format(_percent(train.after.rmse / train.before.rmse))
     return f"{opening}: {'; '.join(f for f in facts if f)}." if any(facts) else f"{opening}."
 
 

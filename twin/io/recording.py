@@ -319,8 +319,8 @@ def _without_standing(recordings: list[Recording], sources: Sequence[tuple[Path,
     findings = tuple(
         Finding(
             "standing",
-            f"{recordings[k].name}: the output stands still throughout while column '{name}' says that the axis moves; "
-            "the recording is left out",
+            f"the recording {recordings[k].name} is left out: its output stands still throughout while column '{name}' "
+            "says that the axis moves",
             Severity.WARNS,
         )
         for k, name in out.items()
