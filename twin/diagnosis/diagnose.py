@@ -27,6 +27,7 @@ from twin.diagnosis import (
     nonparametric,
     residual_torque,
     selection_round,
+    suspect,
     thresholds,
 )
 from twin.diagnosis import verdict as claims
@@ -526,6 +527,7 @@ def diagnose(
         failed = [*failed, *claims.vetoed_names(figures, last_point.structure, first)]
         found, after, last_point, left[1] = _back_to_first(found), before, first_point, left[0]
         figures = adequacy.unchanged(figures)
+    said += suspect.sentences(figures, recordings[0].output_unit)
     lap("adequacy")
     missing = [residual_torque.missing_torque(case, p.structure, p.values) for p in (first_point, last_point)]
     shapes = [tuple(residual_torque.torque_shapes(m)) for m in missing]
