@@ -3,6 +3,7 @@
 python scripts/bench.py            # all of it
 python scripts/bench.py kernel     # a part: kernel, fmu, identify or commands
 python scripts/bench.py diagnose   # fresh rigs with one effect concealed, and with two; not among "all of it"
+python scripts/bench.py fleet      # a fleet's axes with two workers against one; not among "all of it"
 python scripts/bench.py long       # time and memory on recordings of up to an hour; not among "all of it"
 """
 
@@ -157,15 +158,43 @@ def bench_commands() -> None:
             print(f"twin {name}: {time.perf_counter() - start:.1f} s{state}")
 
 
+def bench_fleet(axes: int = 6, seconds: float = 4.0) -> None:
+    """Print how much sooner two processes are done with a fleet than one: 1 is twice as soon."""
+    from blind_trial import make
+
+    from twin.batch.axis_run import Task, run_axis
+    from twin.batch.execution import run_local
+    from twin.io.manifest import read_fleet
+
+    with tempfile.TemporaryDirectory() as name:
+        folder, lines = Path(name), ["axis,file"]
+        for trial in range(axes):
+            _, _, made = make(84, trial, ("none",), seconds, "circuit")
+            table = np.stack([made.time, made.input, made.output], axis=1)
+            np.savetxt(folder / f"{trial}.csv", table, "%.9g", ",", header="t,duty,position", comments="")
+            lines.append(f"axis{trial},{trial}.csv")
+        (folder / "fleet.csv").write_text("\n".join(lines))
+        walls = []
+        for processes in (1, 2):
+            out = folder / f"by{processes}"
+            out.mkdir()
+            start = time.perf_counter()
+            done = list(run_local(run_axis, [Task(a, out) for a in read_fleet(folder / "fleet.csv")], processes))
+            walls.append(time.perf_counter() - start)
+            failed = sum(getattr(outcome, "failed", True) for _, outcome in done)
+            print(f"fleet of {axes} axes, {processes} at a time: {walls[-1]:.1f} s, {failed} failed", flush=True)
+    print(f"efficiency of two workers against one: {walls[0] / (2.0 * walls[1]):.2f}")
+
+
 if __name__ == "__main__":
     from fmu_cost import bench_fmu
     from long_recording import bench_long
 
     parts = {"kernel": bench_kernel, "fmu": bench_fmu, "identify": bench_identify, "commands": bench_commands}
     usual = tuple(parts)
-    parts |= {"long": bench_long, "diagnose": bench_diagnose}
+    parts |= {"long": bench_long, "diagnose": bench_diagnose, "fleet": bench_fleet}
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    usual_ones = f"{', '.join(parts)}; all but the last two unless given"
+    usual_ones = f"{', '.join(parts)}; all but the last three unless given"
     parser.add_argument("part", nargs="*", metavar="PART", help=usual_ones)
     given = parser.parse_args().part
     if unknown := [part for part in given if part not in parts]:
