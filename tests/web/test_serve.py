@@ -181,7 +181,7 @@ def test_what_the_checks_find_is_said_and_stops_the_search(client: Client) -> No
 
 def test_columns_that_no_name_tells_are_chosen_by_hand(client: Client) -> None:
     looked = client.drop(log_text().replace("t,duty,counts", "a,b,c")).told
-    assert "choose" in looked["unsure"][0] and looked["problem"]
+    assert "choose the column" in looked["problem"] and len(looked["panels"]["panels"]) == 3
     output = {"column": "c", "unit": "count", "counts_per_revolution": 4096}
     chosen = client.choose({"time": {"column": "a"}, "input": {"column": "b", "unit": "%"}, "output": output})
     assert chosen["problem"] == "" and "6.0 s at 2 ms" in chosen["says"]
@@ -197,6 +197,7 @@ def test_what_is_no_recording_is_refused_in_one_sentence(client: Client) -> None
         (gzip.compress(b"t,duty,counts\n1,2")[:-9], "axis.csv.gz", "damaged gzip"),
         ("a,b", "axis.exe", "no recording by its ending"),
         ("file\n/etc/passwd", "../../list.csv", "list of recordings"),
+        ("file\nelsewhere.csv", "list.csv", "list of recordings"),
     ]
     for content, name, says in cases:
         answer = client.drop(content, name)
@@ -281,7 +282,7 @@ def test_from_a_dropped_log_to_a_model_on_sliders(page: Any, address: str, tmp_p
     from playwright.sync_api import expect
 
     log = tmp_path / "bench.csv"
-    log.write_text(log_text(12.0))
+    log.write_text(log_text(8.0))
     assert no_sideways_scrolling(page)
     page.set_input_files("#file", log)
     page.get_by_label("counts per revolution").fill("4000")

@@ -65,8 +65,8 @@ FLAGS = {
 }  # fmt: skip
 #: Arguments of the library whose options have the same name.
 SAME = (
-    "ahead", "amplitude", "bandwidth", "draws", "duration", "fmi", "force", "horizon", "log", "method", "out", "rig",
-    "scheduler", "target",
+    "ahead", "amplitude", "bandwidth", "draws", "duration", "fmi", "force", "horizon", "log", "method", "out", "port",
+    "rig", "scheduler", "target",
 )  # fmt: skip
 
 

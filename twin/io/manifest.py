@@ -46,12 +46,8 @@ def entries_of(path: Path) -> list[Entry]:
     A manifest is a text table with a column `file`, in any dialect that a recording may have. Numbers in columns such
     as `payload_mass [g]` are converted. Raises BadInput for a line that cannot be used.
     """
-    if path.suffix.lower() not in (".csv", ".txt", ".tsv") or not path.is_file() or not _may_be_manifest(path):
-        return [Entry(path)]
-    rows = read_cells(path)
-    if "file" not in rows.header:
-        if any(name.lower() == "file" for name in rows.header):
-            raise BadInput(f"{path}: line 1: a manifest's column is 'file', in small letters; rename it")
+    rows = _manifest_rows(path)
+    if rows is None:
         return [Entry(path)]
     table = _table(rows)
     numeric = _numeric(rows, table)
@@ -119,6 +115,23 @@ def _numeric(rows: TextRows, table: list[dict[str, str]]) -> list[str]:
         and any(row[name] for row in table)
         and all(_finite(row[name]) is not None for row in table if row[name])
     ]
+
+
+def is_manifest(path: Path) -> bool:
+    """Whether a file lists recordings. Raises BadInput where it seems to, but does not say so rightly."""
+    return _manifest_rows(path) is not None
+
+
+def _manifest_rows(path: Path) -> TextRows | None:
+    """The rows of a manifest; None for any other file."""
+    if path.suffix.lower() not in (".csv", ".txt", ".tsv") or not path.is_file() or not _may_be_manifest(path):
+        return None
+    rows = read_cells(path)
+    if "file" in rows.header:
+        return rows
+    if any(name.lower() == "file" for name in rows.header):
+        raise BadInput(f"{path}: line 1: a manifest's column is 'file', in small letters; rename it")
+    return None
 
 
 def _may_be_manifest(path: Path) -> bool:

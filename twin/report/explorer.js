@@ -40,6 +40,7 @@ async function explore(root, told) {
 
   /* ---- state ---- */
 
+  const unit = told.time_unit || "s";
   let current = 0, data = await stretch(0), span = [0, 1], cursor = null, drag = null;
   const hidden = new Set(); /* series that the reader switched off */
   const shownWithout = new Set(); /* effects whose removal is overlaid */
@@ -251,7 +252,7 @@ async function explore(root, told) {
       ink.textBaseline = "top";
       for (const t of across) {
         ink.beginPath(); ink.moveTo(x(t), TOP); ink.lineTo(x(t), height - BOTTOM); ink.stroke();
-        ink.fillText(t.toFixed(digits) + (n === canvases.length - 1 ? " s" : ""), x(t), height - BOTTOM + 5);
+        ink.fillText(t.toFixed(digits) + (n === canvases.length - 1 ? ` ${unit}` : ""), x(t), height - BOTTOM + 5);
       }
       ink.save();
       ink.beginPath();
@@ -287,7 +288,7 @@ async function explore(root, told) {
         told.legend;
       return;
     }
-    const i = indexAt(cursor), parts = [`${data.time[i].toFixed(3)} s`];
+    const i = indexAt(cursor), parts = [`${data.time[i].toFixed(3)} ${unit}`];
     for (const panel of told.panels) {
       for (const line of drawn(panel)) {
         const value = data[line.channel][i];

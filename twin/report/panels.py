@@ -26,6 +26,8 @@ FloatArray = NDArray[np.float64]
 SAMPLES = 60_000
 #: Recordings that a page holds at most.
 RECORDINGS = 6
+#: Columns that are shown as they stand in a file, at most.
+COLUMNS = 6
 #: Faults of the sensor that are banded, at most; more of them would hide the curves.
 FAULTS = 200
 #: Codes that a sample may have; the last stands for one that is left out.
@@ -145,6 +147,17 @@ def fault_bands(recording: Recording) -> list[dict[str, Any]]:
         {"kind": "fault", "start": f.start, "end": f.end, "says": f"{f.kind}, left out"}
         for f in recording.faults[:FAULTS]
     ]
+
+
+def tell_columns(columns: Mapping[str, FloatArray]) -> dict[str, Any]:
+    """Columns (N,) of a file as they stand in it, a panel each over the row, as the script reads them."""
+    shown = dict(list(columns.items())[:COLUMNS])
+    panels = [Panel(name, "", ((f"column {i}", "ink", name, False),)) for i, name in enumerate(shown)]
+    count = max(map(len, shown.values()), default=0)
+    channels = {f"column {i}": values for i, values in enumerate(shown.values())}
+    stride = max(1, math.ceil(count / SAMPLES))
+    view = View(panels, [stretch("", {"time": np.arange(count, dtype=float), **channels}, stride)], stride)
+    return {**view.told(), "time_unit": "rows"}
 
 
 def tell_recordings(recordings: Sequence[Recording]) -> dict[str, Any]:

@@ -31,8 +31,8 @@
     $("problem").hidden = !text;
     if (text) $("problem").scrollIntoView({block: "nearest"});
   }
-  /* With a capital, but for the name of a key, and a full stop. */
-  const sentence = text => (/^\w+_/.test(text) ? text : (text || "").replace(/^./, c => c.toUpperCase())) +
+  /* With a capital where it begins with a word, which no file name and no key is, and a full stop. */
+  const sentence = text => (text || "").replace(/^[a-z]+(?=[ ,])/, word => word[0].toUpperCase() + word.slice(1)) +
     (!text || /[.!?…]$/.test(text) ? "" : ".");
   function make(tag, properties, ...inside) {
     const made = Object.assign(document.createElement(tag), properties);
@@ -48,7 +48,7 @@
   }
   const ORDER = ["drop", "columns", "search", "result"];
   function step(name) {
-    for (const id of ORDER) $(id).hidden = id !== name;
+    for (const id of ORDER.slice(0, 3)) $(id).hidden = id !== name; /* the result is a page of its own */
     $("lead").hidden = name !== "drop";
     for (const item of document.querySelectorAll(".steps li")) {
       item.toggleAttribute("aria-current", false);
@@ -56,6 +56,12 @@
       item.classList.toggle("past", ORDER.indexOf(item.dataset.step) < ORDER.indexOf(name));
     }
     problem("");
+  }
+  /* Where the user went on, the keyboard and the screen reader go on, too. */
+  function go(name) {
+    step(name);
+    $(name).focus({preventScroll: true});
+    window.scrollTo(0, 0);
   }
 
   /* ---- a log is dropped ---- */
@@ -69,7 +75,9 @@
     }
     $("reading").hidden = false;
     try {
+      $("shown").hidden = true;
       set(await ask(`/log?name=${encodeURIComponent(file.name)}`, file));
+      go("columns");
     } catch (error) {
       problem(error.message);
     }
@@ -85,7 +93,7 @@
     area.classList.remove("over");
     if (!$("drop").hidden) upload(event.dataTransfer.files[0]);
   });
-  for (const again of document.querySelectorAll(".again")) again.addEventListener("click", () => step("drop"));
+  for (const again of document.querySelectorAll(".again")) again.addEventListener("click", () => go("drop"));
 
   /* ---- its columns are chosen ---- */
 
@@ -114,9 +122,9 @@
   }
   const number = () => make("input", {type: "number", step: "any", inputMode: "decimal"});
   function group(title, ...controls) {
-    const said = Object.values(remarks[title] || {});
+    const told = Object.entries(remarks[title] || {}).map(([key, remark]) => `${key.replaceAll("_", " ")}: ${remark}`);
     const made = make("fieldset", {}, make("legend", {textContent: title[0].toUpperCase() + title.slice(1)}), ...controls);
-    if (said.length) made.append(make("p", {className: "remark-of", textContent: said.join("; ")}));
+    if (told.length) controls[1].after(make("p", {className: "remark-of", textContent: told.join("; ")}));
     return made;
   }
   const names = () => columns.map(name => [name, name]);
@@ -194,7 +202,7 @@
   let asked = 0;
   async function choose() {
     const mine = ++asked;
-    $("start").disabled = true;
+    $("start").disabled = $("shown").hidden = true;
     try {
       const chosen = await ask("/rig", sections);
       if (mine === asked) show(chosen);
@@ -256,7 +264,7 @@
     }
   }
   async function watch() {
-    step("search");
+    go("search");
     $("stop").disabled = false;
     $("models").replaceChildren();
     $("rivals").replaceChildren(make("li", {className: "quiet", textContent: "The first model is fitted before any."}));
@@ -277,12 +285,11 @@
       $("clock").textContent = `${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, "0")}`;
       $("stop").hidden = told.state !== "searching";
       if (told.state === "done") {
-        step("result");
         location.assign("/result");
         return;
       }
       if (told.state === "choosing") {
-        step("columns");
+        go("columns");
         problem(told.problem);
         return;
       }
@@ -293,7 +300,7 @@
   /* A page that is loaded anew goes on where the work stands. */
   ask("/state").then(told => {
     if (told.looked && told.looked.columns) set(told.looked);
-    if (told.state === "done") step("result");
+    $("shown").hidden = told.state !== "done";
     if (told.state === "searching" || told.state === "finishing") watch();
   }).catch(error => problem(error.message));
 }

@@ -14,8 +14,8 @@
   /* Text and what it is; of what is made only when it is asked for, the file that has to be there. */
   const FILES = {
     "improved.fmu": ["FMU", "co-simulation, FMI 2, for hosts with Python"],
-    "native_fmi2.fmu": ["native FMU, FMI 2", "compiled, for hosts without Python", "improved.fmu"],
-    "native_fmi3.fmu": ["native FMU, FMI 3", "compiled, for hosts without Python", "improved.fmu"],
+    "improved-native.fmu": ["native FMU", "compiled, FMI 2, for hosts without Python"],
+    "improved-native-fmi3.fmu": ["native FMU, FMI 3", "compiled, for hosts without Python", "improved.fmu"],
     "controller.toml": ["controller", "its gains, for twin cosim"],
     "controller.fmu": ["controller FMU", "co-simulation, FMI 2", "controller.toml"],
     "improved.toml": ["model", "parameters and covariance, for twin export"],
@@ -98,7 +98,7 @@
         const free = await simulate(values);
         if (!Object.keys(values).length) continue;
         now.replaceChildren(make("span", {className: "key ink"}),
-          `With these parameters the free run errs by ${percent(free)} of the recorded range; the model's own by ${model}.`);
+          `With these parameters the free run errs by ${percent(free)}, the model's own by ${model} of the range.`);
         root.dispatchEvent(new CustomEvent("overlay", {detail: {says: "with these parameters", ...free}}));
       } catch (error) {
         now.textContent = error.message;

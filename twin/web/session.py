@@ -14,7 +14,7 @@ from twin.errors import BadInput
 from twin.web import worker
 
 #: Seconds after which reading a log, or a run of a model, is given up.
-PATIENCE = 120.0
+PATIENCE = 300.0
 
 
 class Session:
@@ -136,6 +136,7 @@ class Session:
                 raise BadInput("no search is running")
             self.state = "finishing" if self.models else "choosing"
             self.problem = "" if self.models else "the search was stopped before it had a model"
+            self.events.append({"kind": "stage", "says": "stopped; going on with the best model so far", "share": 0.0})
             self._process.kill()
 
     def _finish(self) -> None:

@@ -15,8 +15,6 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from twin.display.numbers import capital
 from twin.errors import BadInput, StageFailed
 from twin.io import manifest, rig_draft
@@ -27,7 +25,7 @@ from twin.io.rig_draft import Section
 from twin.io.tables.formats import open_tables
 from twin.io.tables.table import Table
 from twin.io.units import OPTIONAL_UNITS
-from twin.report.panels import tell_recordings
+from twin.report.panels import tell_columns, tell_recordings
 
 #: Tables of a rig file that the page may set, and the keys that would name other files.
 TITLES = ("time", "input", "input.direction", "output", *(f"optional.{key}" for key in OPTIONAL_UNITS))
@@ -35,7 +33,7 @@ ELSEWHERE = ("file", "time_column", "time_unit")
 #: The folder of results beside the log.
 RESULTS = "results"
 #: What is made when it is asked for, by name, and the version of FMI.
-EXPORTS = {"native_fmi2.fmu": 2, "native_fmi3.fmu": 3, "controller.fmu": 2}
+EXPORTS = {"improved-native-fmi3.fmu": 3, "controller.fmu": 2}
 
 
 class Work:
@@ -57,7 +55,7 @@ class Work:
 
     def look(self, _: None) -> dict[str, Any]:
         """The columns, a first draft of the rig file, and what comes of it."""
-        if [entry.path for entry in manifest.entries_of(self.log)] != [self.log]:
+        if manifest.is_manifest(self.log):
             raise BadInput(f"{self.log} is a list of recordings: drop one recording, or give the list to twin run")
         table = open_tables(self.log)[0]
         sections, unsure = self._draft(table)
@@ -87,6 +85,7 @@ class Work:
         rig.write_text(text, encoding="utf-8")
         self.recordings = []
         try:
+            _check_chosen(checked)
             loaded, _ = load([self.log], rig)
         except BadInput as error:
             return {"text": text, "problem": self._said(str(error)), "panels": self._raw(table, checked)}
@@ -96,7 +95,7 @@ class Work:
         notes = [f.says for f in findings if f.severity is not Severity.BLOCKS]
         return {
             "text": text,
-            "says": "; ".join(dict.fromkeys(repr(r) for r in self.recordings)),
+            "says": f"{len(loaded)} recordings; the first: {loaded[0]!r}" if len(loaded) > 1 else repr(loaded[0]),
             "problem": self._said("; ".join(blocks)),
             "notes": [capital(self._said(n)) for n in notes],
             "faults": [line for r in self.recordings for line in summarise(r.faults)],
@@ -110,16 +109,12 @@ class Work:
         return sentence.replace(f"{folder}/", "")
 
     def _raw(self, table: Table, sections: Mapping[str, Section]) -> dict[str, Any] | None:
-        """The chosen columns as they stand in the file, against the row; None where they cannot be read."""
-        names = [sections[key].keys.get("column") if key in sections else None for key in ("input", "output")]
-        try:
-            command, output = table.columns([str(n) for n in names])
-        except BadInput:
-            return None
-        if not len(output):
-            return None
-        rows = np.arange(len(output), dtype=float)
-        return tell_recordings([Recording(self.name, rows, command, output, "", "")])
+        """The chosen columns as they stand in the file, or all that hold numbers while not all are chosen."""
+        found = rig_draft.numeric_columns(table)
+        names = [sections[key].keys.get("column") for key in ("input", "output") if key in sections]
+        chosen = {str(name): found[str(name)] for name in names if str(name) in found}
+        shown = chosen if len(chosen) == 2 else found
+        return tell_columns(shown) if shown else None
 
     def search(self, _: None) -> dict[str, Any]:
         """The main job, as `twin run` does it."""
@@ -176,6 +171,14 @@ class Work:
         else:
             export_fmu(self.story.diagnosis.after, out, "native", EXPORTS[name], force=True)
         return {"file": name}
+
+
+def _check_chosen(sections: Mapping[str, Section]) -> None:
+    """Raises BadInput where the user has yet to choose."""
+    for key in ("input", "output"):
+        keys = sections[key].keys if key in sections else {}
+        if "column" not in keys or not keys.keys() & {"unit", "full_scale"}:
+            raise BadInput(f"choose the column and the unit of the {key}")
 
 
 def _checked(title: str, keys: Mapping[str, Any]) -> dict[str, str | float]:
