@@ -15,6 +15,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import uvicorn
@@ -119,7 +120,19 @@ async def _told(request: Request) -> dict[str, Any]:
     return told
 
 
-class Server:
+async def _received(request: Request, out: Path) -> bool:
+    """Write what comes into a file; whether all of it was within the limit."""
+    size = 0
+    with out.open("wb") as file:
+        async for chunk in request.stream():
+            size += len(chunk)
+            if size > MAX_LOG:
+                return False
+            file.write(chunk)
+    return True
+
+
+class Site:
     """What the routes share: the one log that is worked on."""
 
     def __init__(self) -> None:
@@ -131,9 +144,8 @@ class Server:
         return self._session
 
     def close(self) -> None:
-        session, self._session = self._session, None
-        if session is not None:
-            session.close()
+        if self._session is not None:
+            self._drop(self._session)
 
     async def page(self, request: Request) -> Response:
         name = PAGES[request.url.path]
@@ -160,18 +172,19 @@ class Server:
         self.close()
         session = self._session = Session(name, ending + (".gz" if name.lower().endswith(".gz") else ""))
         try:
-            size = 0
-            with session.log.open("wb") as file:
-                async for chunk in request.stream():
-                    size += len(chunk)
-                    if size > MAX_LOG:
-                        self.close()
-                        return _refused(_TOO_LARGE.format(name), 413)
-                    file.write(chunk)
+            if not await _received(request, session.log):
+                self._drop(session)
+                return _refused(_TOO_LARGE.format(name), 413)
             return _answer(await run_in_threadpool(session.look))
         except BaseException:
-            self.close()
+            self._drop(session)
             raise
+
+    def _drop(self, session: Session) -> None:
+        """End a session; a newer one stays."""
+        session.close()
+        if self._session is session:
+            self._session = None
 
     async def state(self, request: Request) -> Response:
         """Where the work stands: enough to build the page anew."""
@@ -226,24 +239,24 @@ _TOO_LARGE = "{} is larger than 256 MiB: give it to twin run, or drop a part of 
 
 def make_app() -> Starlette:
     """The page as an application; its end removes what was kept."""
-    server = Server()
+    site = Site()
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         yield
-        server.close()
+        site.close()
 
     async def bad_input(_: Request, error: Exception) -> Response:
         return _refused(" ".join(str(error).split()), 400)
 
     get: dict[str, Callable[[Request], Awaitable[Response]]] = {
-        **dict.fromkeys(PAGES, server.page), "/report.css": server.style, "/explorer.js": server.style,
-        "/state": server.state, "/watch": server.watch, "/sliders": server.sliders, "/result": server.result,
-        "/files/{name}": server.download, "/favicon.ico": server.icon,
+        **dict.fromkeys(PAGES, site.page), "/report.css": site.style, "/explorer.js": site.style,
+        "/state": site.state, "/watch": site.watch, "/sliders": site.sliders, "/result": site.result,
+        "/files/{name}": site.download, "/favicon.ico": site.icon,
     }  # fmt: skip
     post = {
-        "/log": server.upload, "/rig": server.choose, "/search": server.search, "/stop": server.stop,
-        "/simulate": server.simulate,
+        "/log": site.upload, "/rig": site.choose, "/search": site.search, "/stop": site.stop,
+        "/simulate": site.simulate,
     }  # fmt: skip
     routes = [Route(path, endpoint) for path, endpoint in get.items()]
     routes += [Route(path, endpoint, methods=["POST"]) for path, endpoint in post.items()]

@@ -61,6 +61,8 @@ class Session:
     def _ask(self, action: str, argument: Any = None, patience: float | None = PATIENCE) -> dict[str, Any]:
         """What the process answers. Raises BadInput where it refuses, breaks down or takes longer than its time (s)."""
         with self._turn:
+            if not self.folder.exists():
+                raise BadInput("another recording was dropped meanwhile: load the page anew")
             if not self._process.is_alive():
                 self._start()
                 if self.sections:

@@ -124,9 +124,7 @@ class Work:
 
         watch = Watch(self.recordings, self.send)
         with events.observing(watch.observe):
-            story = pipeline.run(
-                self.recordings, self.log.parent / RESULTS, force=True, progress=watch.progress
-            )  # fmt: skip
+            story = pipeline.run(self.recordings, self.log.parent / RESULTS, force=True, progress=watch.progress)
         return self._done(story)
 
     def finish(self, models: tuple[str, str]) -> dict[str, Any]:
@@ -140,9 +138,7 @@ class Work:
         watch = Watch(self.recordings, self.send)
         estimate.compile_kernel(watch.progress)
         watch.progress("comparing the models with the recording", 0.3)
-        before, after = (
-            estimate.with_largest_command(fitted_model.loads(text), self.recordings) for text in models
-        )  # fmt: skip
+        before, after = (estimate.with_largest_command(fitted_model.loads(m), self.recordings) for m in models)
         diagnosis = unfinished(self.recordings, before, after)
         return self._done(pipeline.finish(self.recordings, diagnosis, self.log.parent / RESULTS, watch.progress))
 
