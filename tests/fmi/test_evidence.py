@@ -16,6 +16,7 @@ from example_diagnosis import model_of, recording_of
 from fmpy.util import read_csv
 from fmpy.validation import validate_fmu
 
+import twin
 from twin.errors import BadInput
 from twin.fmi import evidence, python_fmu
 from twin.fmi.evidence import Trial
@@ -62,6 +63,14 @@ def test_what_goes_in_comes_out(fmu: Path) -> None:
         again = misfit(trial.recording, python_fmu.replay(fmu, trial.recording), since=trial.judged_from)
         assert (again.rmse, again.peak) == (found["rmse"], found["peak"])
     assert figures[0]["rmse"] == pytest.approx(RECORDING.resolution / np.sqrt(12.0), rel=0.1)
+
+
+def test_the_front_door_takes_recordings_as_evidence(fmu: Path, tmp_path: Path) -> None:
+    made = twin.export_fmu(TRUTH, tmp_path / "made.fmu", evidence=RECORDING)
+    assert len(evidence.carried(made)[0]) == 1
+    with pytest.raises(BadInput, match="has its input in %"):
+        twin.export_fmu(TRUTH, tmp_path / "none.fmu", evidence=[replace(RECORDING, input_unit="V")])
+    assert not (tmp_path / "none.fmu").exists()
 
 
 def test_other_importers_load_it_and_play_the_recording(fmu: Path, tmp_path: Path) -> None:

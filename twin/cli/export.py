@@ -105,6 +105,13 @@ def _evidence(args: argparse.Namespace) -> list[Recording]:
     return [r for r in recordings if r.role == "holdout"] or recordings
 
 
+def _page(report: Path) -> str:
+    try:
+        return report.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        raise BadInput(f"{report} cannot be read as a page of text: give the report.html of a run") from None
+
+
 def _origin(args: argparse.Namespace) -> dict[str, str]:
     given = {"author": args.author, "version": args.model_version, "license": args.license}
     return {name: value for name, value in given.items() if value is not None}
@@ -120,7 +127,7 @@ def _export_axis(
 
     for r in recordings:
         check_units(r, str(args.model), found.input_unit, found.axis_unit)
-    report = "" if args.report is None else args.report.read_text(encoding="utf-8")
+    report = "" if args.report is None else _page(args.report)
     check_free(args.out, args.force)
     offers, result = "co-simulation", None
     with show_progress(args) as tell, tempfile.TemporaryDirectory() as folder:

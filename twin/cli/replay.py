@@ -138,7 +138,7 @@ def _check(args: argparse.Namespace) -> int:
         far = [{"seconds": args.ahead, **_figures(j.found)} for j in judged]
         fits = [f | {"ahead": ahead} for f, ahead in zip(fits, far, strict=True)]
     pictures = [_picture(args, j) for j in bad]
-    beyond = " or ".join(f"{_flag(name)} {limit:g}" for name, limit in limits.items()) or "what the FMU says it is"
+    beyond = " or ".join(f"{_flag(name)} {limit:g}" for name, limit in limits.items()) or "the figures that it carries"
     verdict = f"The twin does not fit: {len(bad)} of {len(fits)} beyond" if bad else "The twin fits: none is beyond"
     answer = {
         "format": "twin-check/1", "holds": not bad, "max_nrmse_percent": args.max_nrmse, "limits": limits, "fit": fits,

@@ -32,6 +32,8 @@ from twin.errors import BadInput
 from twin.io.files import put
 
 _DIGEST = hashlib.sha256().digest_size
+#: How a file is opened to be read: no link is followed, no pipe is waited for, and Windows leaves the bytes alone.
+_FLAGS = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_BINARY"))
 
 
 def cache_folder() -> Path:
@@ -105,7 +107,7 @@ def _read(name: str) -> bytes | None:
         return None
     path = folder / name
     try:
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+        handle = os.open(path, _FLAGS)
     except FileNotFoundError:
         return None
     except OSError:
