@@ -65,6 +65,15 @@ def test_what_goes_in_comes_out(fmu: Path) -> None:
     assert figures[0]["rmse"] == pytest.approx(RECORDING.resolution / np.sqrt(12.0), rel=0.1)
 
 
+def test_a_part_amid_the_motion_is_judged_from_its_first_reading(tmp_path: Path) -> None:
+    """The lag of an FMU starts at rest, that of the axis does not."""
+    model = model_of("motor_lag").with_values({"lag_time": 0.05, "viscous_friction": 6.0})
+    made = python_fmu.export(model, tmp_path / "lagged.fmu")
+    part = recording_of(model).part(1.0, 4.0)
+    assert evidence.judge(made, Trial(part))["peak"] > 0.03
+    assert evidence.judge(made, Trial(part, 1.0))["peak"] < 0.003
+
+
 def test_the_front_door_takes_recordings_as_evidence(fmu: Path, tmp_path: Path) -> None:
     made = twin.export_fmu(TRUTH, tmp_path / "made.fmu", evidence=RECORDING)
     assert len(evidence.carried(made)[0]) == 1

@@ -80,7 +80,8 @@ def misfit(recording: Recording, ran: Replay, ahead: float | None = None, since:
     ahead
         s; None for the free run itself.
     since
-        s; what comes before only leads there.
+        s; what comes before only leads there. A position is then moved to the first reading that is judged, as that of
+        a free run in a diagnosis is: a lag that starts at rest amid the motion leaves an offset for ever.
 
     Raises
     ------
@@ -100,4 +101,6 @@ def misfit(recording: Recording, ran: Replay, ahead: float | None = None, since:
     seen = np.isfinite(error)
     if not seen.any():
         raise BadInput(f"{recording.name}: no readings are left to judge by, or none so far apart: give a longer one")
+    if since > 0.0 and ahead is None and not recording.is_speed:
+        error = error - error[np.argmax(seen)]
     return Misfit(time, error, float(np.ptp(wanted[seen])), ahead)
