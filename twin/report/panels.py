@@ -152,7 +152,8 @@ def fault_bands(recording: Recording) -> list[dict[str, Any]]:
 def tell_columns(columns: Mapping[str, FloatArray]) -> dict[str, Any]:
     """Columns (N,) of a file as they stand in it, a panel each over the row, as the script reads them."""
     shown = dict(list(columns.items())[:COLUMNS])
-    panels = [Panel(name, "", ((f"column {i}", "ink", name, False),)) for i, name in enumerate(shown)]
+    titles = [f"column {name}" if name.isdecimal() else name for name in shown]  # a file without a header
+    panels = [Panel(name, "", ((f"column {i}", "ink", name, False),)) for i, name in enumerate(titles)]
     count = max(map(len, shown.values()), default=0)
     channels = {f"column {i}": values for i, values in enumerate(shown.values())}
     stride = max(1, math.ceil(count / SAMPLES))
