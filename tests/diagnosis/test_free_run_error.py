@@ -7,7 +7,7 @@ import pytest
 from axis_runs import run, steps
 
 from twin.diagnosis.free_run_error import compare_horizon, free_run_errors, sentences
-from twin.estimation import maximum_likelihood
+from twin.estimation import horizon, maximum_likelihood
 from twin.io.recording import Recording
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
@@ -28,14 +28,22 @@ def test_the_true_model_is_told_its_error_and_nothing_else() -> None:
     (error,) = free_run_errors(Model(FIRST, VALUES), [recording])
     assert error.recording == "made" and error.depends_on == ()
     assert error.nrmse_percent == pytest.approx(100.0 * error.rmse / np.ptp(recording.output))
-    assert len(sentences([error], "rad")) == 1
+    assert len(sentences([error], Model(FIRST, VALUES), "rad")) == 1
 
 
 def test_a_model_that_lacks_friction_is_warned_of() -> None:
     recording = made(FIRST.with_("coulomb_friction"), coulomb_friction=4.0)
-    errors = free_run_errors(Model(FIRST, VALUES), [recording])
+    model = Model(FIRST, VALUES)
+    errors = free_run_errors(model, [recording])
     assert errors[0].depends_on
-    assert any("lacks physics" in s and "twin diagnose" in s for s in sentences(errors, "rad"))
+    assert any("lacks physics" in s and "twin diagnose" in s for s in sentences(errors, model, "rad"))
+
+
+def test_a_model_whose_likeliest_values_make_up_for_physics_is_warned_of() -> None:
+    """Also where its missing torque depends on nothing, as that of a lag."""
+    marked = Model(FIRST, VALUES, provenance={horizon.LACKING: "so it is"})
+    said = sentences(free_run_errors(marked, [made(FIRST)]), marked, "rad")
+    assert len(said) == 2 and "lacks physics" in said[1] and "twin diagnose" in said[1]
 
 
 def test_both_kinds_of_values_are_held_against_each_other_on_held_out_data() -> None:

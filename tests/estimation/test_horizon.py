@@ -95,7 +95,7 @@ def test_a_gap_does_not_make_up_for_a_lag() -> None:
     problem, likeliest = maximum_likelihood.likeliest([recording], first)
     assert horizon.lacks_physics(problem, likeliest)
     found = estimate.identify(recording, first)
-    assert found.provenance["horizon"] == horizon.WHOLE
+    assert found.provenance["horizon"] == horizon.WHOLE and horizon.LACKING in found.provenance
     assert found.values["backlash_gap"] < 0.1 and 0.02 < found.values["motor_share"] < 0.98
     model = maximum_likelihood.to_model(problem, likeliest, [recording])
     assert free_run(found, recording) < free_run(model, recording)

@@ -50,7 +50,7 @@ def _identify(args: argparse.Namespace) -> int:
         f"{args.out}: {found.structure}, by the {args.method} method:",
         *parameter_lines(found),
         *prior_sentences(found),
-        *free_run_error.sentences(errors, recordings[0].output_unit),
+        *free_run_error.sentences(errors, found, recordings[0].output_unit),
     ]
     if compared is not None:
         said.append(compared.sentence(args.horizon, recordings[0].output_unit))

@@ -69,13 +69,18 @@ def free_run_errors(model: Model, recordings: Sequence[Recording], closed: bool 
     return out
 
 
-def sentences(errors: Sequence[FreeRunError], unit: str) -> list[str]:
-    """What the errors say: one line for each recording, and a warning where physics is missing."""
+def sentences(errors: Sequence[FreeRunError], model: Model, unit: str) -> list[str]:
+    """What the errors of a model say: one line for each recording, and a warning where physics is missing."""
     said = [
         f"free run of {e.recording}: error {e.rmse:.3g} {unit}, {e.nrmse_percent:.3g} % of the range" for e in errors
     ]
     lacking = [e for e in errors if e.depends_on]
-    if lacking:
+    if best_over.LACKING in model.provenance:
+        said.append(
+            "warning: the model lacks physics, and its likeliest values make up for that. These are the values of the "
+            "best free run instead. Run twin diagnose to find what is missing."
+        )
+    elif lacking:
         worst = max(lacking, key=lambda e: e.nrmse_percent)
         said.append(
             f"warning: the model lacks physics: in {worst.recording} the missing torque depends on "

@@ -165,8 +165,7 @@ def _joint(recordings: Sequence[Recording], structure: Structure, tell: Progress
     problem, likeliest = maximum_likelihood.likeliest(recordings, structure, progress=tell)
     if best_over.lacks_physics(problem, likeliest):
         tell("the best free run", 0.85)
-        best = best_over.best_with_known_gap(best_over.free_run_fits(problem, likeliest))
-        return best_over.to_model(problem, best, to_fit(recordings))
+        return best_over.in_place_of_likeliest(problem, likeliest, to_fit(recordings))
     tell("profiles of the likelihood", 0.85)
     return maximum_likelihood.with_intervals(problem, likeliest, recordings)
 

@@ -36,6 +36,9 @@ _GAP_PARAMETERS = ("backlash_gap", "motor_share", "friction_share", "dry_share",
 _LENGTHENING, _ROUNDS = 2.0, 15
 #: Overdispersion below which the errors one step ahead count as white.
 _WHITE = 2.0
+#: Key of a model's provenance where its likeliest values only make up for missing physics, and what it says there.
+LACKING = "lacking"
+_LACKS = "the likeliest values make up for missing physics"
 #: What a model's provenance calls this horizon.
 WHOLE = "whole recordings"
 _NO_GAP = "not determined: with the physics that this model has, the recording is followed better without a gap"
@@ -165,6 +168,13 @@ def to_model(problem: FitProblem, found: HorizonFit, recordings: Sequence[Record
     """
     model = maximum_likelihood.to_model(problem, as_judged(problem, found), recordings)
     return _over(model, found, WHOLE)
+
+
+def in_place_of_likeliest(problem: FitProblem, likeliest: Fit, recordings: Sequence[Recording]) -> Model:
+    """The model with the values of the best free run, marked as one that lacks physics."""
+    best = best_with_known_gap(free_run_fits(problem, likeliest))
+    found = to_model(problem, best, recordings)
+    return replace(found, provenance={**found.provenance, LACKING: _LACKS})
 
 
 def _over(model: Model, found: HorizonFit, says: str) -> Model:
