@@ -87,6 +87,18 @@ def _no_help_ahead(problem: FitProblem, fit: Fit, lesser: dict[str, Fit]) -> Ite
                 yield NotBorneOut(name, reason, ratio)
 
 
+def _predicts_clearly(problem: FitProblem, fit: Fit, without: Fit | None) -> bool:
+    """Whether errors on blocks that a name was not fitted to are far smaller with it, at every horizon.
+
+    Then its size is something, whatever its standard error: one from slopes at a rough place of the likelihood may be
+    anything.
+    """
+    if without is None:
+        return False
+    ratios = [ratio for _, ratio in block_validation.error_ratios(problem, without, fit)]
+    return bool(ratios) and max(ratios) < thresholds.CLEAR_ERROR_RATIO
+
+
 def not_borne_out(problem: FitProblem, fit: Fit, first: Structure, lesser: dict[str, Fit]) -> NotBorneOut | None:
     """The name that the figures contradict most clearly, or none.
 
@@ -104,6 +116,7 @@ def not_borne_out(problem: FitProblem, fit: Fit, first: Structure, lesser: dict[
     impossible = next(_impossible(problem, fit, first), None)
     if impossible is not None:
         return impossible
-    small = min(_too_small(problem, fit, first), key=lambda n: n.figure, default=None)
+    unsure = (n for n in _too_small(problem, fit, first) if not _predicts_clearly(problem, fit, lesser.get(n.id)))
+    small = min(unsure, key=lambda n: n.figure, default=None)
     few = small or next(_few_recordings(problem, fit, lesser), None)
     return few or max(_no_help_ahead(problem, fit, lesser), key=lambda n: n.figure, default=None)
