@@ -87,6 +87,7 @@ class Axis(Fmi2Slave):
         self.known = [references.get(name) for name in face["known"]]
         self.parameters = [references[name] for name in face["parameters"]]
         self.starts = [references["position_start"], references["velocity_start"]]
+        self.origin = references.get("time_start")
         self.settable = {v["reference"] for v in self.variables if v["causality"] == "parameter"}
         self.measured = references["position_measured"]
         self.capacity = face["delay_capacity"]
@@ -130,8 +131,9 @@ class Axis(Fmi2Slave):
     def begin(self):
         """Put the axis where the start values say, at rest inside, nothing on its way."""
         position, velocity = (self.v[i] for i in self.starts)
-        rest = [0.0] * (len(self.x) - 4)
-        self.x[:] = [position, velocity, 0.0, velocity, *rest]
+        rest = [0.0] * (len(self.x) - 5)
+        time = 0.0 if self.origin is None else self.v[self.origin]
+        self.x[:] = [position, velocity, 0.0, velocity, *rest, time]
         if self.capacity:
             self.v[self.acting] = self.v[self.count] = 0.0
         self.take()

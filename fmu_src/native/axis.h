@@ -29,10 +29,11 @@ static void refresh(State *s)
         for (size_t i = 0; i < STATES; ++i) x[i] = 0.0;
         x[POSITION] = s->slot[POSITION_START];
         x[VELOCITY] = x[MOTOR_VELOCITY] = s->slot[VELOCITY_START];
+        x[TIME] = s->slot[TIME_START];
     }
 #if EXCHANGE
     if (s->exchange) {
-        x[TIME] = s->now - s->begin;
+        x[TIME] = s->now - s->begin + s->slot[TIME_START];
         if (before) settle_modes(s);
         rates(x, s->slot + FIRST_PARAMETER, s->slot + FIRST_KNOWN, s->slot[COMMAND]);
     }

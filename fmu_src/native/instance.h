@@ -370,7 +370,7 @@ static int update(Instance *me, int *timed, double *next)
     settle_modes(s);
     s->stale = 1;
 #if TIMED
-    *next = s->begin + s->slot[EVENT_TIME];
+    *next = s->begin + s->slot[EVENT_TIME] - s->slot[TIME_START];
     *timed = *next > s->now;
 #endif
 #endif

@@ -105,6 +105,8 @@ def _law(effect: str, given: dict[str, str]) -> str:
 
 
 def _sum(model: Model, slot: str, given: dict[str, str]) -> str:
+    if model.holds_moments:
+        given = {"time": "(time + time_start)", **given}
     laws = [f"({_law(i, given)})" for i in laws_by_slot(model.structure)[slot]]
     return " + ".join(laws) or "0"
 
@@ -210,6 +212,9 @@ def _parameters(model: Model) -> list[str]:
     lines.append(_declare("parameter Real", "position_start", x, "position of the link at the start", "0.0"))
     speed = "velocity of motor and link at the start"
     lines.append(_declare("parameter Real", "velocity_start", f"{x}/s", speed, "0.0"))
+    if model.holds_moments:
+        origin = "time of the recording at the start: at its end what happened in it is over"
+        lines.append(_declare("parameter Real", "time_start", "s", origin, repr(model.time_start)))
     return lines
 
 

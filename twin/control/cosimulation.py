@@ -109,7 +109,7 @@ class ModelPlant:
         names: dict[str, Any] = {}
         exec(compile(python.write(model.structure), "<plant>", "exec"), names)
         self._step, self._sensor = names["step"], names["sensor"]
-        self._x = [float(position), *[0.0] * (len(STATES) - 1)]
+        self._x = [float(position), *[0.0] * (len(STATES) - 2), model.time_start]
         self._p = [float(model.values[p.name]) for p in model.structure.parameters]
         self._k, self._longest = [float(model.known.get(n, 0.0)) for n in KNOWN], model.longest_step
         self._delay = float(model.values.get("delay", 0.0))

@@ -71,12 +71,14 @@ def trial(model: Model, controller: Controller, reference: Reference) -> tuple[F
     n = len(reference.time)
     position, command = np.full(n, math.nan), np.full(n, math.nan)
     states = len(STATES)
+    start = start_state(float(reference.position[0]), 0.0, 0.0)
+    start[-1] = model.time_start
     compiled().follow(
         reference.time,
         reference.position,
         reference.velocity,
         reference.acceleration,
-        start_state(float(reference.position[0]), 0.0, 0.0),
+        start,
         vector(model.structure, dict(model.values)),
         known_vector(model.known),
         model.longest_step,

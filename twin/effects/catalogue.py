@@ -112,6 +112,9 @@ BASE: tuple[str, ...] = ("inertia", "viscous_friction", "dead_band", "backlash")
 #: What may be found missing.
 CANDIDATES: tuple[str, ...] = tuple(e.id for e in EFFECTS.values() if e.screen is not None)
 
+#: What happens at a moment of one recording: a twin that starts afresh starts after it.
+ONCE: tuple[str, ...] = ("load_change", "disturbance_pulse", "unknown_time", "unknown_drag")
+
 #: Shapes without a name, for what no candidate describes. Never among the candidates: they would fit anything.
 UNKNOWN: tuple[str, ...] = tuple(i for i in EFFECTS if i.startswith("unknown_"))
 

@@ -122,6 +122,7 @@ def to_model(problem: FitProblem, point: Fit, recordings: Sequence[Recording]) -
         reads_speed=first.is_speed,
         reading_std=math.sqrt(variance),
         torque_density=point.process_noise * variance,
+        recorded_time=max(float(r.time[-1]) for r in recordings),
         known={**known, **told_of(first)},
         provenance={
             "method": "joint",

@@ -57,7 +57,7 @@ def _slots(model: Model) -> dict[str, int]:
     """Where the value of each variable stands: what the stepper takes as an array stands together."""
     shown = variables(model)
     names = [model.input_name, *(p.name for p in model.structure.parameters), *KNOWN]
-    names += ["position_start", "velocity_start", *STATE_NAMES, *_behind(model)]
+    names += ["position_start", "velocity_start", "time_start", *STATE_NAMES, *_behind(model)]
     names += [v.name for v in shown if v.name not in set(names)]
     return {name: i for i, name in enumerate(names)}
 
@@ -150,6 +150,7 @@ def header(model: Model, token: str) -> str:
         "FIRST_STATE": slots[STATE_NAMES[0]],
         "POSITION_START": slots["position_start"],
         "VELOCITY_START": slots["velocity_start"],
+        "TIME_START": slots["time_start"],
         "MEASURED": slots["position_measured"],
         **{s.upper(): i for i, s in enumerate((*STATES, *_behind(model))) if s in _NAMED_STATES},
         "DELAY_CAPACITY": delay_capacity(model),

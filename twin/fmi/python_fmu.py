@@ -256,6 +256,12 @@ def start_values(recording: Recording, model: Model | None) -> tuple[float, floa
     return (sensor.position(model.structure, model.values, position) if model else position), velocity
 
 
+def _is_own(model: Model, recording: Recording) -> bool:
+    """Whether the model was fitted to the recording, so that what happened in it happens in its replay."""
+    own = model.provenance.get("recordings", "").split(", ")
+    return recording.name in {name.partition(" (without ")[0] for name in own}
+
+
 def replay(fmu: Path, recording: Recording, start: tuple[float, float] | None = None, closed: bool = False) -> Replay:
     """Drive the recorded input through the FMU in FMPy, one communication step from stamp to stamp.
 
@@ -278,6 +284,8 @@ def replay(fmu: Path, recording: Recording, start: tuple[float, float] | None = 
     check_units(recording, str(fmu), units.get(inputs[0], ""), opened.unit("position"))
     position, velocity = start_values(recording, model) if start is None else start
     values = {"position_start": float(position), "velocity_start": float(velocity)}
+    if "time_start" in names and model is not None and _is_own(model, recording):
+        values["time_start"] = 0.0
     values |= {name: float(value) for name, value in recording.known.items() if name in KNOWN and name in names}
     loop = own_loop(recording) if closed else None
     if loop is None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twin.display.numbers import measure
 from twin.display.table import DisplayTable, Tabular
-from twin.effects.catalogue import EFFECTS, pages
+from twin.effects.catalogue import EFFECTS, ONCE, pages
 from twin.effects.end_stop import NOWHERE
 from twin.effects.parameter import Parameter
 from twin.errors import BadInput
@@ -50,6 +50,7 @@ class Model(Tabular):
     reads_speed: bool = False
     reading_std: float = 0.0  # of one reading, in the output's unit
     torque_density: float = 0.0  # of the white torque noise, (axis_unit/s^2)^2 s
+    recorded_time: float = 0.0  # s, length of the longest recording that it was fitted to
     known: Mapping[str, float] = field(default_factory=dict)  # payload, moment; inertia
     provenance: Mapping[str, str] = field(default_factory=dict)
 
@@ -57,6 +58,16 @@ class Model(Tabular):
     def input_name(self) -> str:
         """The FMU's input variable."""
         return INPUT_NAMES[self.input_unit]
+
+    @property
+    def holds_moments(self) -> bool:
+        """Whether it holds what happened at a moment of its recording."""
+        return any(i in self.structure for i in ONCE)
+
+    @property
+    def time_start(self) -> float:
+        """Time of the recording at which a twin starts, s: its end where the model holds what happened in it."""
+        return self.recorded_time if self.holds_moments else 0.0
 
     @property
     def longest_step(self) -> float:
@@ -151,6 +162,7 @@ def dumps(model: Model) -> str:
         f"sample_time = {number(model.sample_time)}",
         f"resolution = {number(model.resolution)}",
         f"reads_speed = {str(model.reads_speed).lower()}",
+        *([f"recorded_time = {number(model.recorded_time)}"] if model.recorded_time else []),
         "",
         "[structure]",
         f"effects = {texts(model.structure.ids)}",
@@ -203,7 +215,9 @@ def loads(text: str, where: str = "model") -> Model:
     """A model from TOML text. `where` names it in messages. Raises BadInput."""
     advice = "give a MODEL.toml that twin identify or twin diagnose wrote"
     document = parse(text, where, FORMAT, advice, _TABLES)
-    axis = section(where, document, "axis", ("unit", "input_unit", "sample_time", "resolution", "reads_speed"))
+    axis = section(
+        where, document, "axis", ("unit", "input_unit", "sample_time", "resolution", "reads_speed", "recorded_time")
+    )
     noise = section(where, document, "noise", ("reading_std", "torque_density"))
     structure = read_structure(where, section(where, document, "structure", ("effects",)), "effects")
     tables = section(where, document, "parameters")
@@ -248,6 +262,7 @@ def loads(text: str, where: str = "model") -> Model:
         input_unit=input_unit,
         sample_time=sample_time,
         resolution=size(f"{where}: [axis] resolution", axis.get("resolution", 0.0)),
+        recorded_time=size(f"{where}: [axis] recorded_time", axis.get("recorded_time", 0.0)),
         reads_speed=reads_speed,
         reading_std=size(f"{where}: [noise] reading_std", noise.get("reading_std", 0.0)),
         torque_density=size(f"{where}: [noise] torque_density", noise.get("torque_density", 0.0)),

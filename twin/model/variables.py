@@ -147,9 +147,15 @@ def variables(model: Model) -> tuple[Variable, ...]:
     add("position_start", fixed, "{x}", "position of the link at the start", nominal=1.0, start=0.0)
     add("velocity_start", fixed, "{x}/s", "velocity of motor and link at the start", nominal=1.0, start=0.0)
 
+    if model.holds_moments:
+        meaning = "time of the recording at the start: at its end what happened in it is over, at 0 it happens again"
+        add("time_start", fixed, "s", meaning, nominal=1.0, start=model.time_start)
+
     for name, (unit, meaning) in zip(STATE_NAMES, STATES.values(), strict=True):
         if name not in OUTPUTS:
             origin = ("velocity_start",) if name == "motor_velocity" else ()
+            if name == "time_since_start" and model.holds_moments:
+                origin = ("time_start",)
             usual = (full or 1.0) if name == "lag" else _USUAL.get(name)
             add(name, local, unit, meaning, nominal=usual, initially_from=origin)
     capacity = delay_capacity(model)
