@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from twin.diagnosis import diagnose as search
-from twin.diagnosis import holdout, model_comparison
+from twin.diagnosis import holdout, model_comparison, thresholds
 from twin.diagnosis.change import changes_sentence, compare_models
 from twin.diagnosis.result import Diagnosis, Fitness
 from twin.diagnosis.tracking import FALSE_ALARMS, Track
 from twin.diagnosis.tracking import track as judge
 from twin.errors import BadInput
-from twin.estimation import estimate, maximum_likelihood
+from twin.estimation import estimate, local_optima, maximum_likelihood
 from twin.io.api import as_list
 from twin.io.recording import Recording, as_told, check_units
 from twin.model.fitted_model import Model
@@ -104,6 +104,9 @@ def against_given(found: Diagnosis, given: Model, closed_loop: bool = False) -> 
 def fit_again(model: Model, recordings: Recording | Sequence[Recording]) -> Model:
     """Fit a model's structure to later recordings of its axis; what the model holds fixed stays.
 
+    A likelihood behind a gap has several maxima. The one near the model's own values is taken where none is likelier by
+    what an effect would have to gain: else parameters seem to change from one maximum to another.
+
     Raises
     ------
     BadInput
@@ -113,7 +116,10 @@ def fit_again(model: Model, recordings: Recording | Sequence[Recording]) -> Mode
     for r in given:
         check_units(r, "the model", model.input_unit, model.axis_unit)
     told = [as_told(r, model.known) for r in given]
-    return maximum_likelihood.identify(told, model.structure, estimate.held_parameters(model))
+    problem, likeliest = maximum_likelihood.likeliest(told, model.structure, estimate.held_parameters(model))
+    near = local_optima.refit(problem.at(likeliest.process_noise), model.structure, model.values)
+    farther = model_comparison.criterion_difference(likeliest, near) > thresholds.MIN_GAIN
+    return maximum_likelihood.with_intervals(problem, likeliest if farther else near, told)
 
 
 def track(
