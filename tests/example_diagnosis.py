@@ -118,7 +118,6 @@ def example(verdict: str = "explained", several: bool = False, axis_unit: str = 
         segments=(Segment(1.0, 1.5, 0.21), Segment(2.5, 3.5, 0.34)),
         before=before,
         after=after,
-        likeliest=before,
         fit={"train": fits, "holdout": fits},
         traces=tuple(traces),
         missing_before=missing,

@@ -93,8 +93,10 @@ def against_given(found: Diagnosis, given: Model, closed_loop: bool = False) -> 
         f"{fits[worst].nrmse_percent:.3g} % of the range{f', in {worst}' if len(fits) > 1 else ''}."
     )
     found = replace(found, given_fit=fits, remarks=(said, *found.remarks))
-    later = found.likeliest
-    if given.structure.named != later.structure.named or not given.fitted or not later.fitted:
+    if given.structure.named != found.before.structure.named or not given.fitted:
+        return found
+    later = fit_again(given, found.recordings)
+    if not later.fitted:
         return found
     changes = compare_models(given, later)
     remarks = (said, changes_sentence(changes), *found.remarks[1:])

@@ -563,7 +563,6 @@ def diagnose(
         segments=tuple(residual_torque.segments(missing[0])),
         before=before,
         after=after,
-        likeliest=shown_pair.likeliest,
         fit=fit,
         traces=tuple(shown),
         missing_before=missing[0],

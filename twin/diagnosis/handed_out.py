@@ -31,14 +31,10 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """The first and the last model, the same where nothing was added, with their figures.
-
-    `likeliest` is the first model at the maximum of its likelihood, whose standard errors are those of changes.
-    """
+    """The first and the last model, the same where nothing was added, with their figures."""
 
     first: Judged
     last: Judged
-    likeliest: Model
     figures: Adequacy
 
 
@@ -67,7 +63,7 @@ def pair(
         What no fit has seen; it has no say in the values.
     """
     first, last = (Judged(f, maximum_likelihood.to_model(p, f, train)) for p, f in zip(problems, fits, strict=True))
-    likeliest, added = first.model, fits[0] is not fits[1]
+    added = fits[0] is not fits[1]
     if added or horizon.lacks_physics(problems[0], fits[0]):
         first = _best_free_run(problems[0], fits[0], train)
     if not added:
@@ -78,4 +74,4 @@ def pair(
     if added and claims.is_worse(figures.free_run["train"]):
         last = _best_free_run(problems[1], fits[1], train)
         figures = adequacy.measure(problems[0], held_out, first.fit, last.fit, beyond)
-    return Pair(first, last, likeliest, figures)
+    return Pair(first, last, figures)

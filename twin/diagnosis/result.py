@@ -117,7 +117,6 @@ class Diagnosis(Tabular):
     segments: tuple[Segment, ...]  # of it
     before: Model  # its best free run
     after: Model
-    likeliest: Model  # the first model at the maximum of its likelihood: what changed since is asked of it
     fit: Mapping[str, Mapping[str, Fitness]]
     traces: tuple[Trace, ...]
     missing_before: MissingTorque  # in it

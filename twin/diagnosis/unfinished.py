@@ -52,7 +52,6 @@ def unfinished(recordings: Sequence[Recording], before: Model, after: Model) -> 
         segments=tuple(residual_torque.segments(missing[0])),
         before=before,
         after=after,
-        likeliest=before,
         fit={role: _fitness([t for t in traces if t.role == role]) for role in ("train", "holdout")},
         traces=tuple(traces),
         missing_before=missing[0],
