@@ -1,16 +1,16 @@
-"""When motor and link meet again, and whether a model can foresee it.
+"""Contacts of motor and link after a gap crossing, and whether a model can predict their time.
 
-Where the command falls slowly the motor lets go of the link by next to nothing, floats through the gap at a few
-hundredths of a radian per second and meets the other flank at a moment that noise decides. The filter runs on its
-mean, which meets it at one moment; the jolt that it expects and the one that comes are then two errors, each far
-larger than what the filter thinks possible, and an estimate would bend gap, dead-band and shares until they happen
-together. Three such crossings in a minute outweigh all the rest. So readings around a meeting whose moment is unsure
-by enough to be seen are followed by the filter, but not judged.
+Where the command falls slowly, the motor separates from the link by very little. It crosses the gap at a few hundredths
+of a radian per second. Noise then decides when it touches the other flank. The filter runs on its mean, which has one
+time of contact. The jolt that it predicts and the jolt that occurs are two errors. Each is far larger than the filter's
+variance allows. An estimate would bend gap, dead-band and shares until the two coincide, and three such crossings in a
+minute outweigh all other readings. So the filter follows the readings around a contact whose time is visibly uncertain,
+but they are not judged.
 
-Where in its gap a motor stands at the start nobody knows, and so the first meeting is not judged where others follow.
+The motor's place in its gap at the start is unknown. So the first contact is not judged where others follow.
 
-Nor are those between turns of the command that follow each other faster than the gears come to rest: which these are is
-known before any model is, so that all models are judged by the same.
+Contacts between reversals of the command that follow each other faster than the gears come to rest are not judged
+either. These are known before any model is, so that all models are judged on the same readings.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
 from twin.estimation.problem import FitProblem
 
-#: Standard deviations of a meeting's moment, before and after it, in which nothing is judged.
+#: Standard deviations of a contact's time, before and after it, in which nothing is judged.
 _CONTACT_DEVIATIONS = 2.0
 #: Where more than this share of a recording would not be judged, all of it is: its motor rattles without end.
 MAX_MASKED_SHARE = 0.25
-#: A command that turns again after less than this time, s, keeps a motor rattling; less than this share of the largest
-#: does not count as a turn; and so much of a recording is judged at least, or all of it.
+#: A command that reverses again after less than this time, s, keeps a motor rattling. Below this share of the largest
+#: command, a reversal does not count. At least this share of a recording is judged, or all of it.
 _RATTLE_INTERVAL, _IDLE_COMMAND, _MIN_JUDGED_SHARE = 0.25, 0.1, 0.3
-#: So many pushes there are at least where the first is not judged, and so many standard deviations of a reading show
-#: that it has moved the link.
+#: Least number of pushes for the first not to be judged. Standard deviations of a reading that show that it has moved
+#: the link.
 _MIN_PUSHES, _MOVED_DEVIATIONS = 4, 5.0
 
 
@@ -70,8 +70,8 @@ def find_rattling(case: PreparedRecording) -> NDArray[np.bool_] | None:
     """The stamps (N,) between turns of the command that follow each other so soon that motor and link come to no rest
     against each other; None where there are none, or hardly anything else.
 
-    Each bounce depends on the one before, and so does what was wrong about it: after a few of them the likelihood of
-    any model, the true one included, is a matter of chance, with valleys that lie a percent apart and teach nothing.
+    Each bounce depends on the one before, and so does its error. After a few bounces the likelihood of any model, also
+    of the true one, is a matter of chance. Its local optima lie a percent apart and say nothing of the parameters.
     """
     time, command = case.drive.time, case.drive.command
     if case.drive.closed:

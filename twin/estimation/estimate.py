@@ -96,8 +96,9 @@ def with_largest_command(found: Model, recordings: Sequence[Recording]) -> Model
 
 
 def held_parameters(found: Model) -> dict[str, float]:
-    """The parameters that a model holds fixed: those without a standard error in a model that has some, but not what a
-    note says was never looked for, nor a stop that stands nowhere, which the next recording may meet.
+    """The parameters that a model holds fixed: those without a standard error, in a model that has some. A parameter
+    that was never estimated, as a note says, is not held. Nor is an end stop that stands nowhere, which the next
+    recording may reach.
     """
     if not found.fitted:
         return {}
@@ -111,8 +112,8 @@ def identify(
 ) -> Model:  # fmt: skip
     """Find the parameters of a model, with standard errors.
 
-    Where the likeliest values only make up for physics that the model lacks, its values are those of the best free run
-    through the whole recordings, and its provenance says so ("horizon").
+    The likeliest values may only make up for physics that the model lacks. Its values are then those of the best free
+    run through the whole recordings, and its provenance says so ("horizon").
 
     Parameters
     ----------

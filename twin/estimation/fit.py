@@ -40,8 +40,8 @@ class Fit:
     @property
     @numerics.ignore_overflow()
     def covariance(self) -> FloatArray:
-        """Of the free parameters; what cannot be seen gets a huge variance, not a small one, and what leaves no trace
-        an infinite one, and none with others."""
+        """Of the free parameters. A parameter that cannot be seen gets a huge variance, not a small one. One that
+        leaves no trace gets an infinite variance, and no covariance with others."""
         eigenvalues, vectors, size = self._eigen
         inverse = (vectors / np.maximum(eigenvalues, numerics.EIGENVALUE_FLOOR)) @ vectors.T
         return numerics.without_what_is_lost(np.asarray(inverse / np.outer(size, size)))
@@ -59,9 +59,9 @@ class Fit:
     def robust_covariance(self) -> FloatArray:
         """Covariance (n, n) of the free parameters that holds where the model errs a little, too.
 
-        The information says how sharply the likelihood bends; how much its slope scatters from stretch to stretch
-        says how far the maximum may have moved (White's sandwich, Econometrica 50, 1982). Innovations that a
-        slightly wrong model leaves correlated make the second larger; each standard error is the larger of the two.
+        The information is the curvature of the likelihood. The scatter of its slope from stretch to stretch says how
+        far the maximum may have moved (White's sandwich, Econometrica 50, 1982). Innovations that a slightly wrong
+        model leaves correlated make the second larger; each standard error is the larger of the two.
         """
         wider = np.sqrt(np.fmax(self._variance_inflation, 1.0))
         return np.asarray(self.covariance * np.outer(wider, wider))
@@ -71,8 +71,8 @@ class Fit:
     def _variance_inflation(self) -> FloatArray:
         """Variances (n,) that the scatter of the slopes bears out, over those that the information promises.
 
-        In directions that nothing determines, as gain and dead-band where the command knows one size, both are nothing
-        over nothing: what they leave a parameter is what counts, NaN where that is nothing.
+        In a direction that nothing determines, both are zero: for example gain and dead-band where the command has one
+        size. The ratio is then that of the remaining directions, and NaN where the parameter has none.
         """
         eigenvalues, vectors, size = self._eigen
         known = eigenvalues > numerics.EIGENVALUE_FLOOR

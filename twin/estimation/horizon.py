@@ -1,9 +1,9 @@
 """The values with which a model predicts best over a horizon, or over whole recordings.
 
 Where a structure is complete they are the likeliest ones but for noise, and the likeliest are the sharper. Where it
-lacks physics there are no true values. The likeliest then serve the next reading: the gap and the motor's share make up
-for what is missing within milliseconds, and a free run pays for it. From window to longer window the model runs freely,
-because the error of a long run has many local optima.
+lacks physics there are no true values. The likeliest values then predict the next reading well: gap and motor's share
+make up for what is missing within milliseconds. A free run with them is worse. From window to longer window the model
+runs freely, because the error of a long run has many local optima.
 """
 
 from __future__ import annotations
@@ -129,8 +129,8 @@ def is_gap_at_bound(fit: Fit) -> bool:
 
 
 def lacks_physics(problem: FitProblem, likeliest: Fit) -> bool:
-    """Whether the likeliest values make up for missing physics: the filter forgets as fast as it may; or gap or share
-    end at a bound, and the errors hang together.
+    """Whether the likeliest values make up for missing physics. It is so where the filter's memory is the shortest
+    allowed. It is also so where gap or share end at a bound and the errors are correlated.
     """
     bent = is_gap_at_bound(likeliest) and likeliest.overdispersion > _WHITE
     return bent or optimizer.is_misspecified(problem, likeliest)

@@ -89,8 +89,8 @@ def _with_payload(
 ) -> dict[str, float]:
     """Input gain, viscous friction and own inertia where payloads are known.
 
-    The command is explained by the motion, not the other way round: what the payloads weigh and how they accelerate
-    sets the scale, and the noise of the acceleration stays on the side where it does least.
+    The regression explains the command by the motion, not the other way round. The known payloads, with their weight
+    and acceleration, set the scale. The noise of the acceleration then stays on the side where it does least harm.
     """
     rows, commands = [], []
     for case, (place, command, speed, acceleration) in zip(cases, parts, strict=True):

@@ -1,13 +1,13 @@
 """The likelihood of recordings under a model, and its maximum.
 
-The model runs in innovation form: a Kalman filter whose only two numbers are the variance of a reading (known
-from the encoder's count) and the density of a white torque noise (estimated). A free run would drift away with
-every unmodelled torque and then weigh it twice over; short windows would throw away what connects them; a free
-autoregressive noise model would absorb the very misfit that is looked for. With torque noise as the only freedom
-the predictor forgets at the rate that the recording itself asks for.
+The model runs in innovation form, as a Kalman filter with two numbers. They are the variance of a reading (known from
+the encoder's count) and the density of a white torque noise (estimated). A free run would drift away with every
+unmodelled torque and then count it twice. Short windows would lose what connects them. A free autoregressive noise
+model would absorb the very misfit that is looked for. With torque noise as the only freedom, the recording itself
+decides how long the filter's memory is.
 
-The filter knows whether motor and link touch. In the gap each is moved by its own half of the noise, and nobody sees
-the motor; when they meet, what was known of their mass centre is what is known of both.
+The filter knows whether motor and link touch. In the gap each of them is moved by its own half of the noise, and no
+sensor sees the motor. At contact, what was known of their common centre of mass becomes what is known of both.
 
 The maximum is found by Gauss-Newton steps on exact derivatives, with damping, bounds and a robust loss.
 """
@@ -38,9 +38,9 @@ FloatArray = NDArray[np.float64]
 HUBER_LIMIT = 4.0
 #: Stamps whose slopes are held at once: an hour at 2 ms has eighteen times as many.
 MAX_STAMPS_AT_ONCE = 100_000
-#: Slopes that are so many times as large as the drive can make them within the filter's memory have run away; where
-#: the motor does not rattle they are no larger than once that, and six times where motor and link meet. No memory is
-#: taken to be shorter than this, s: for so long a meeting shows.
+#: Slopes have diverged at this multiple of what the drive can make them within the filter's memory. Where the motor
+#: does not rattle they are at most once that, and six times where motor and link touch. No memory is taken to be
+#: shorter than this time, s, in which a contact shows.
 MAX_SLOPE_RATIO, _CONTACT_DURATION = 10.0, 0.05
 #: Stretches beyond one for each parameter from more than which their scatter can be told.
 SPARE_BLOCKS = 4
@@ -67,8 +67,8 @@ def _initial_state(
 
 
 def with_free_runs(case: PreparedRecording, process_noise: float, horizon: float) -> PreparedRecording:
-    """The case for predictions up to `horizon` seconds ahead: free runs of that length, or to the recording's end, each
-    after a few memories of the filter in which it finds the state.
+    """The case for predictions up to `horizon` seconds ahead. It is cut into free runs of that length, the last to the
+    recording's end. Before each, the filter has a few of its memories to find the state.
     """
     settled = min(5.0 * filter_memory.memory_of(case, process_noise), 0.1 * float(case.drive.time[-1]))
     lead = max(settled, filter_memory.MIN_READINGS_IN_MEMORY * case.step)
@@ -95,9 +95,9 @@ def _diverged_slopes(
 ) -> NDArray[np.bool_]:
     """The stamps (N,) whose slopes have grown from bounce to bounce until they say nothing.
 
-    What another gain does to an axis is forgotten with the filter's memory, and so is about what the drive does within
-    it, or within the time that motor and link take to meet. Where a light motor bounces in its gap a slope grows beyond
-    that, by a factor with each bounce, and a handful of such stamps would outweigh all others.
+    The effect of another gain decays with the filter's memory. So it is about what the drive does within that memory,
+    or within the time of a contact. Where a light motor bounces in its gap, a slope grows beyond that, by a factor with
+    each bounce. A handful of such stamps would outweigh all others.
     """
     # A free run forgets nothing, and one under its own loop is driven by what it reads.
     if process_noise == 0.0 or case.free_run is not None or case.drive.closed or "input_gain" not in free:
@@ -168,8 +168,8 @@ def _drive_moves_axis(cases: Sequence[PreparedRecording], values: Mapping[str, f
 
 
 def _within_stops(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
-    """Whether no recording lies further behind a stop than it travels: the deeper, the shorter the steps that a stiff
-    contact needs, and a climb that is thrown so far would wait a quarter of a minute to be told that it is nowhere.
+    """Whether no recording lies further behind a stop than it travels. The deeper it lies, the shorter the steps that a
+    stiff contact needs. A fit whose step leads that far would wait a quarter of a minute for a useless value.
     """
     lower, upper = values.get("stop_lower", -math.inf), values.get("stop_upper", math.inf)
     return all(
@@ -292,8 +292,8 @@ def _scores_by_block(
 def jackknife_covariance(problem: FitProblem, point: Fit, stretch: float = BLOCK_LENGTH) -> FloatArray:
     """The point's, by leaving out each stretch (s) in turn.
 
-    A parameter that a few stretches decide bends to what these happen to say, and the errors there look small: the
-    estimate without a stretch tells how much hangs on it (jackknife; MacKinnon and White, J. Econometrics 29, 1985).
+    A parameter that a few stretches decide follows what these happen to say, and the errors there look small. The
+    estimate without a stretch tells how much depends on it (jackknife; MacKinnon and White, J. Econometrics 29, 1985).
     """
     pulls, weights = _scores_by_block(problem, point, None, stretch)
     plain = point.covariance

@@ -16,8 +16,8 @@ FloatArray = NDArray[np.float64]
 
 #: Deviance at the ends of a 95 % interval of one parameter.
 _CHI2_95 = 3.841
-#: So often at most an end of such an interval is moved, and steps in which all other parameters follow it there: where
-#: gap and motor's share make up for each other, fewer end on the ridge's flank, and the interval too soon.
+#: Most moves of an end of such an interval, and most steps in which all other parameters follow it there. Where gap and
+#: motor's share make up for each other, fewer steps end beside the ridge, and the interval is too short.
 PROFILE_PASSES, PROFILE_STEPS = 4, 8
 #: A ridge of powers is followed by so large a factor at most: beyond, the others are at their bounds.
 MAX_RATIO = 1e3
@@ -48,12 +48,12 @@ def profile_interval(
 ) -> tuple[float, float]:
     """95 % interval of a free parameter from the profile of the likelihood, all others refitted.
 
-    For bounded and kinked parameters, whose likelihood is no parabola: on either side the profile is looked at where
-    the parabola of the standard error `std` would end, and the end moved to where it says. Where a unit of deviance is
-    worth so little that a profile would only show how the model errs, the parabola has to do.
+    This is for bounded and kinked parameters, whose likelihood is no parabola. On either side the profile is evaluated
+    where the parabola of the standard error `std` would end. The end is then moved to where the profile says. Where a
+    unit of deviance is worth so little that a profile would only show how the model errs, the parabola has to do.
 
-    `powers` says how others go with the parameter along a ridge of the likelihood. Bounces of a light motor make
-    valleys across it, and beyond the end that a profile finds others may be as deep: the interval holds these, too.
+    `powers` says how others go with the parameter along a ridge of the likelihood. Bounces of a light motor make local
+    optima across it. Beyond the end that a profile finds, others may be as likely: the interval holds these, too.
     """
     if not math.isfinite(std):
         return parameter_bounds.BOUNDS[name]  # it leaves no trace, and may be anything

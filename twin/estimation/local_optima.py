@@ -1,9 +1,9 @@
-"""To the maximum of the likelihood near given values, and out of the valleys that what was missing has led into.
+"""The maximum of the likelihood near given values, and the way out of local optima that missing physics has led into.
 
-Structures compete at one noise density: that of a filter which remembers a tenth of a second, or for longer where the
-model is right for longer. Where it lacks much the likeliest density believes little but the last readings, and so
-forgets the slow part of the misfit, in which physics shows: half as long a memory knows a sixteenth of a constant
-torque, and would drop it again.
+Structures are compared at one noise density. It is that of a filter with a memory of a tenth of a second, or longer
+where the model is right for longer. Where the model lacks much, the likeliest density gives the filter a very short
+memory. It then loses the slow part of the misfit, in which physics shows. Half as long a memory sees a sixteenth of a
+constant torque, and would drop it again.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Joint maximum likelihood: all parameters from whole recordings, gap crossings included, and how well they are known.
 
-Steady driving shows only the sum of dead-band and dry friction, and nothing of the gap; the samples after each
+Steady driving shows only the sum of dead-band and dry friction, and nothing of the gap. The samples after each
 reversal, the coast-downs and the plugging separate them (effects.md). So nothing is cut away. `multistart` finds the
 maximum; here are the standard errors, the intervals of what is bounded or kinked, and what a recording cannot fix.
 """
@@ -76,9 +76,9 @@ def _remedy(name: str, partner: str) -> str:
 def roughness(problem: FitProblem, point: Fit) -> float:
     """How much the deviance changes, in the median, where teeth and gap change by next to nothing.
 
-    Where a motor rattles on and on, every bounce depends on all those before: each value has a likelihood of its own,
-    and what is gained by another may be luck. What the information promises of such a change is not counted; slopes
-    that have run away promise more than comes.
+    Where a motor rattles without end, every bounce depends on all those before. Each value then has a likelihood of its
+    own, and a gain by another value may be chance. What the information promises of such a change is not counted;
+    slopes that have run away promise more than comes.
     """
     shaken = {n: share * point.values[n] for n, share in _PERTURBATIONS.items() if n in point.free}
     changes = [(n, sign * size) for n, size in shaken.items() for sign in (-1.0, 1.0)]

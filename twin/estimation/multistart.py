@@ -1,11 +1,11 @@
 """The way to the maximum of the likelihood.
 
-(1) gain, friction and dead-band with a filter that remembers a tenth of a second, where the likelihood is nearly
-quadratic in them; (2) gap, motor's share and friction's share from a grid, because every gap crossing is a kink of the
-likelihood in these; (3) everything together, compliant teeth included, with a filter that forgets at once and then
-with ones that remember longer, for as long as the recording bears it out; where that ends in a rough place, the same
-from gaps, shares and teeth that are bred; (4) the noise density that the recording asks for, and what lies along the
-known ridges of the likelihood.
+(1) Gain, friction and dead-band, with a filter of a memory of a tenth of a second. The likelihood is then nearly
+quadratic in them. (2) Gap, motor's share and friction's share from a grid, because every gap crossing is a kink of the
+likelihood in these. (3) Everything together, compliant teeth included. The filter's memory begins short and is
+lengthened for as long as the recording supports it. Where that ends in a rough place, the same from gaps, shares and
+teeth of a differential evolution. (4) The noise density that the recording asks for, and the known ridges of the
+likelihood.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from twin.model import equations
 from twin.model.stepper import Structure
 from twin.parallel import each
 
-#: Memories of the filter while coarse values are looked for, s: a long one sees more where nothing rattles, and where a
-#: light motor does, a short one is not led astray by its bounces.
+#: Memories of the filter while coarse values are looked for, s. A long one sees more where nothing rattles. Where a
+#: light motor does, a short one is not misled by its bounces.
 COARSE_MEMORIES = (0.1, 0.025)
 _COARSE_GRID = {
     "backlash_gap": (0.003, 0.006, 0.009, 0.013, 0.018, 0.025, 0.035, 0.05, 0.07, 0.09),
@@ -46,8 +46,8 @@ _COARSE_GRID = {
     "friction_share": (0.4, 0.8),
 }
 _TOOTH_GRID = {"tooth_frequency": (60.0, 90.0, 130.0, 190.0), "tooth_damping": (0.12, 0.2, 0.35, 0.5)}
-#: Between what gap, shares and teeth are bred where nothing else leads to them, with what memory of the filter, s, how
-#: many at a time and for how many generations; how far apart the best are that go on, as a ratio, and how many.
+#: Differential evolution where nothing else leads to gap, shares and teeth: its bounds, the filter's memory, s, the
+#: population and the generations. Least ratio between the best that are fitted further, and their number.
 _EVOLUTION_RANGES = {
     "backlash_gap": (0.003, 0.15), "motor_share": (0.08, 0.7), "friction_share": (0.2, 1.0),
     "tooth_frequency": (50.0, 250.0), "tooth_damping": (0.08, 0.7),
@@ -57,11 +57,11 @@ _EVOLUTION_MEMORY, _POPULATION, _GENERATIONS, _MIN_RATIO_APART, _MAX_STARTS = 0.
 MULTIMODAL = tuple(_EVOLUTION_RANGES)
 #: A unit of deviance is worth so little where the motor rattles, or physics is missing.
 _ROUGH_OVERDISPERSION = 1.3
-#: The shortest memory of the filter from which on it is lengthened, s, how often it is at most, and up to where
-#: whatever comes of it: teeth ring for so long, and what forgets sooner may do well with any.
+#: The shortest memory of the filter from which on it is lengthened, s, and most lengthenings. Up to the last time, s,
+#: it is lengthened in any case: teeth ring that long, and with a shorter memory any tooth may do well.
 _SHORTEST_MEMORY, _MAX_LENGTHENINGS, _RINGING_TIME = 0.007, 12, 0.05
-#: Coarse values are looked for in so many parts of a recording, of so many seconds each, and the way on from there in
-#: longer parts: more would say no more of where the valleys lie, and take longer.
+#: Coarse values are looked for in this number of parts of a recording, each of this length, s. The fits after that use
+#: longer parts. More parts would find no other local optima, and take longer.
 _EXCERPTS, _EXCERPT_LENGTH, _LONG_EXCERPT_LENGTH = 5, 4.0, 12.0
 #: Where in the gap a motor may start, and how many s of a recording at least, after motor and link have met, show it.
 _CONTACT_GRID, _CONTACT_DURATION, _CONTACT_MARGIN = tuple(np.linspace(-1.0, 1.0, 9).tolist()), 3.0, 1.0
@@ -114,8 +114,8 @@ def coarse_fit(
 
 
 def excerpts(problem: FitProblem, structure: Structure, lasting: float = _EXCERPT_LENGTH) -> FitProblem:
-    """Parts of the recordings that last so long (s), spread evenly; a short recording is one part, and so is any whose
-    physics counts the time since its start."""
+    """Parts of the recordings of this length (s), spread evenly. A short recording is one part. So is any whose physics
+    depends on the time since its start."""
     if equations.timed(structure):
         return problem
     parts = []
@@ -182,9 +182,10 @@ def _fit_by_lengthening_memory(
 ) -> Fit:
     """The likeliest point on the way from a filter that forgets at once to one that remembers for long.
 
-    A light motor bounces in its gap, and whatever moves a bounce makes a valley. A filter that forgets has lost the
-    bounces and sees one wide valley of how hard motor and link meet; as it remembers more, this valley divides, and
-    the climb stays in the part that it is in. Where the model is wrong, a short memory is the best that there is.
+    A light motor bounces in its gap, and whatever moves a bounce makes a local optimum. A filter with a short memory
+    does not see the bounces: its likelihood has one wide optimum over the strength of the contacts. As the memory
+    grows, this optimum divides, and the fit stays in the part that it is in. Where the model is wrong, a short memory
+    is the best that there is.
     """
     shortest = _shortest_memory(problem)
     points: list[Fit] = []
@@ -204,8 +205,8 @@ def _evolved_starts(problem: FitProblem, point: Fit) -> list[dict[str, float]]:
     """Values with likely gaps, shares and teeth, far from each other, by differential evolution (Storn and Price, J.
     Global Optimization 11, 1997) at a short memory.
 
-    Where a motor rattles the slopes lead from everywhere into valleys nearby, but the deviance tells what is near the
-    truth from what is not; so many are tried, and the better ones mixed with each other.
+    Where a motor rattles, the slopes lead to local optima nearby. The deviance still tells what is near the truth from
+    what is not. So many values are tried, and the better ones are combined with each other.
     """
     ranges = _in_axis_units(_EVOLUTION_RANGES, problem.recordings)
     names = [n for n in ranges if n in point.free]
@@ -275,8 +276,8 @@ def fit_from_starts(problem: FitProblem, structure: Structure, begun: Sequence[F
 
 
 def _dead_band_ridge(problem: FitProblem, point: Fit) -> list[dict[str, float]]:
-    """Both sides of the dead-band moved together, gain and friction following: along this ridge of the likelihood
-    there are valleys a tenth of a percent of the input apart, and a gradient stays in the first.
+    """Both sides of the dead-band moved together, gain and friction following. Along this ridge of the likelihood there
+    are local optima a tenth of a percent of the input apart, and a gradient stays in the first.
     """
     if not all(n in point.free for n in (*_DEAD_BANDS, *_RIDGE_FOLLOWERS)):
         return []
@@ -294,8 +295,8 @@ def _dead_band_ridge(problem: FitProblem, point: Fit) -> list[dict[str, float]]:
 
 
 def _gap_ridge(problem: FitProblem, point: Fit) -> list[dict[str, float]]:
-    """A wider gap and a lighter motor: it takes as long to cross and hits the link as hard, so that the likelihood
-    has a ridge there, and every bounce makes a valley across it.
+    """A wider gap and a lighter motor, which takes as long to cross it and hits the link as hard. So the likelihood has
+    a ridge there, and every bounce makes a local optimum across it.
     """
     moving = {"backlash_gap": 1.0, **RIDGE_POWERS}
     if not set(moving) <= set(point.free):
@@ -337,8 +338,8 @@ def refit_with_contact_mask(problem: FitProblem, point: Fit, most: float = math.
 
 
 def leave_local_optima(problem: FitProblem, point: Fit) -> tuple[FitProblem, Fit]:
-    """Leave the local valleys that a climb from the coarse values ends in: meetings of motor and link that no model
-    foresees, the contact at the start, the ridge.
+    """Leave the local optima in which a fit from the coarse values ends. They come from contacts that no model
+    predicts, from the contact at the start, and from the ridges.
     """
     if optimizer.is_misspecified(problem, point):
         return problem, point

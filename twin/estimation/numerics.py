@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-#: Information along a direction, over that of its parameters each by itself, below which nothing determines it: slopes
+#: Information along a direction, over that of its parameters each by itself, below which nothing determines it. Slopes
 #: are rounded to seven digits, which leaves 1e-13 where there is none.
 EIGENVALUE_FLOOR = 1e-10
 

@@ -5,9 +5,9 @@ estimates have the variances tau^2 + s_i^2 (random-effects model). tau follows f
 squares sum to their number less one (Paule and Mandel, Consensus values and weighting factors, J. Res. NBS 87, 1982).
 
 Axes that stand apart are found with the generalised ESD test (Rosner, Percentage points for a generalized ESD
-many-outlier procedure, Technometrics 25, 1983): the farthest is taken out until a quarter is gone, and the last one
-whose distance passes its limit is an outlier with all those before it. So two alike do not hide one another. tau is
-then that of the others.
+many-outlier procedure, Technometrics 25, 1983). The farthest is taken out until a quarter is gone. The last one whose
+distance passes its limit is an outlier, with all those before it. So two alike do not hide one another. tau is then
+that of the others.
 """
 
 from __future__ import annotations

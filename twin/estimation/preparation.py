@@ -48,8 +48,8 @@ def prepare_recordings(
 ) -> FitProblem:
     """Make recordings ready, `closed` under the rig's own loop, with some parameters held.
 
-    One sensor read them all: where a quick motion between few or late stamps makes its readings look noisy, those of a
-    slow one say how good they are.
+    One sensor read them all. A quick motion between few or late stamps makes its readings look noisy. A slow motion
+    shows how good they are.
     """
     cases = [prepared_recording.prepare_recording(r, structure, closed) for r in recordings]
     least = min((c.reading_variance for c in cases), default=0.0)

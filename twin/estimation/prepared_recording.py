@@ -21,8 +21,8 @@ FloatArray = NDArray[np.float64]
 
 #: An axis rests that stays in one count for longer than this, s.
 _REST_DURATION = 0.5
-#: After a silence of so many s, and so many times the usual one, the filter begins anew: how far a model went astray in
-#: it is no reading's error.
+#: The filter restarts after a silence of this many s that is also this many times the usual one. How far a model went
+#: astray in it is no reading's error.
 _MIN_SILENCE, _SILENCE_INTERVALS = 0.5, 10.0
 
 
@@ -61,8 +61,8 @@ class PreparedRecording:
 
     @cached_property
     def rounding_allowance(self) -> FloatArray:
-        """What rounding may take from each reading (N,) and is no error: a resting axis reads the same anywhere within
-        its count, and that is one error, not one at each stamp."""
+        """The part of each reading (N,) that may be rounding and is no error. A resting axis reads the same anywhere
+        within its count: that is one error, not one at each stamp."""
         return np.where(self.resting, 0.5 * self.recording.resolution, 0.0)
 
     @cached_property

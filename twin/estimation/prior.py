@@ -4,10 +4,10 @@ The siblings' parameters scatter around a centre with a variance tau^2 of their 
 is the prior of a new unit of the same structure; its fit, with the covariance S, is the likelihood. The posterior of
 both, all of them Gaussian, has the information S^-1 + T^-1.
 
-A unit that is not like its siblings must not be pulled in. Its fit differs from the centre by d, whose covariance is
-S + T where the unit is a sibling. A parameter is left to its own recording where that takes more off
-d' (S + T)^-1 d than chance does in one of a hundred siblings, all parameters included (Bonferroni). The limit is that
-of Student's t, because T is estimated from few siblings.
+A unit that is not like its siblings must not be pulled in. Its fit differs from the centre by d, whose covariance is S
++ T where the unit is a sibling. A parameter is left to its own recording where that lowers d' (S + T)^-1 d by more than
+chance does in one of a hundred siblings, over all parameters (Bonferroni). The limit is that of Student's t, because T
+is estimated from few siblings.
 """
 
 from __future__ import annotations

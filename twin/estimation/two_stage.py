@@ -1,12 +1,12 @@
 """The paper's method: steady states, then transients in which the gears are in mesh (its equations 6 to 21).
 
-Stage 1: speeds at which the axis settles, over all duties of the recording, give q = b/c and the dead-band. Stage 2:
-after each change of the input the stretch in which the gap is crossed is found and thrown away; on what remains, speed
-is a constant and one exponential, linear in all but b, so that b is a bounded scalar search (variable projection,
-Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973). Either on speeds, differences of readings as printed, or on the
-readings themselves: one count between two samples is more speed than the axis has.
+Stage 1: the steady speeds over all duties of the recording give q = b/c and the dead-band. Stage 2: after each change
+of the input, the stretch in which the gap is crossed is found and left out. In the rest, speed is a constant and one
+exponential, linear in all but b. So b is a bounded scalar search (variable projection, Golub and Pereyra, SIAM J.
+Numer. Anal. 10, 1973). The data are speeds (differences of readings, as printed in the paper) or the readings
+themselves, because one count between two samples is more speed than the axis has.
 
-The paper's signs: it adds delta to the duty (eq. 6), so delta is minus the forward dead-band when driving forwards and
+The paper's signs: it adds delta to the duty (eq. 6). So delta is minus the forward dead-band when driving forwards, and
 plus the reverse dead-band when driving backwards.
 """
 
@@ -289,8 +289,8 @@ def _settled_holds(holds: Sequence[_Hold], b: float) -> tuple[list[_Hold], float
 def _steady_state(hold: _Hold, b: float) -> tuple[float, float] | None:
     """Steady speed and its standard error from one hold; None where the axis does not settle.
 
-    Two errors add up: white noise of the readings, seen from one to the next, and a load that drifts, seen in how
-    far apart the mean speeds of eight blocks are beyond that.
+    Two errors add up. The white noise of the readings is seen from one to the next. A drifting load is seen in how much
+    further the mean speeds of eight blocks are apart.
     """
     columns = _columns(hold.time, b, hold.speed)
     solution = np.linalg.lstsq(columns, hold.value, rcond=None)[0]
