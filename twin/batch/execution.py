@@ -1,8 +1,8 @@
 """Work on many items at once: in processes of this machine, or on a Dask cluster.
 
-Both ways take a function of a module and give pairs (index, outcome) as they end, where the outcome is what the
-function gave or the exception that ended it. A worker that dies costs its item only: on this machine a new process
-takes its place, on a cluster the scheduler gives the item to another worker.
+Both ways take a function of a module and give pairs (index, outcome) as they end. The outcome is the function's result,
+or the exception that ended it. A worker that dies costs its item only. On this machine a new process takes its place;
+on a cluster the scheduler gives the item to another worker.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The command line: what other people's scripts call.
 
-Exit codes: 0 done, 1 a check that was asked for did not hold, 2 bad input with one line on stderr, 3 a fault of ours.
-A command imports what it needs once it has read what it was given: help is there at once, and so is the word on a
-file that cannot be used.
+Exit codes: 0 done, 1 a check that was asked for did not hold, 2 bad input with one line on stderr, 3 a fault of ours. A
+command imports what it needs after it has read its arguments. So help comes at once, and so does the message on a file
+that cannot be used.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """What the controller does once every sample, written in the stepper's small part of Python.
 
-The writers' machinery turns this text, together with the laws and the stepper of the same structure, into one
-plain Python module: the co-simulation runs it, numba compiles it for draws by the hundred, the controller FMU
-embeds it. `x` is the observer's state at this sample and `y` the state predicted to the moment at which the
-command computed now will act; `m` memory, `q` the commands still under way (newest first), `g` the design.
+The code generator turns this text into one plain Python module, together with the laws and the stepper of the same
+structure. The co-simulation runs it, numba compiles it for hundreds of draws, and the controller FMU embeds it. `x` is
+the observer's state at this sample and `y` the state predicted to the moment at which the command computed now will
+act; `m` memory, `q` the commands still under way (newest first), `g` the design.
 
-The command computed from the reading at one sample leaves at the next, as it does on a rig and between the
-FMUs of any master; that sample and the input delay are bridged by running the model forward.
+The command that is computed from the reading at one sample leaves at the next, as on a rig and between the FMUs of any
+master. The model is run forward over that sample and the input delay.
 """
 
 # mypy: ignore-errors

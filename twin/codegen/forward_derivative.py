@@ -2,8 +2,8 @@
 
 Beside every scalar `a` stands `d_a`, its derivatives with respect to up to sixteen parameters at once
 (`twin.codegen.simd_derivatives`); `xd` holds those of the states, `pd` those of the parameters: a one where the
-parameter is the column, zero elsewhere. Laws and assignments are differentiated by SymPy; branches and event times
-are followed as computed, so the derivative is that of the computed trajectory, not of an approximation.
+parameter is the column, zero elsewhere. SymPy differentiates laws and assignments. Branches and event times are
+followed as computed, so the derivative is that of the computed trajectory, not of an approximation.
 """
 
 from __future__ import annotations

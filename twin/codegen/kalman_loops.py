@@ -3,13 +3,12 @@
 Plain Python in the stepper's language plus arrays; `twin.simulation.kernel` compiles this text together with the
 generated functions, whose names it uses freely.
 
-`predict` runs the model in innovation form. At each stamp it notes what the sensor should read, then moves the
-state towards what it did read by the gains of a Kalman filter; without noise it is a free run. The filter knows
-whether motor and link touch: in the gap each is uncertain by itself, and nobody sees the motor. After a silence it
-begins anew where it reads the axis, and has predicted nothing. The command is
-held from stamp to stamp and acts `delay` later; pieces between edges are split so that none exceeds `longest`.
-`closed` simulates the rig's own loop: command = r * reference - y * output - v * velocity, raised to
-the smallest that the loop gives, clipped at the largest.
+`predict` runs the model in innovation form. At each stamp it notes what the sensor should read. A Kalman filter's gains
+then move the state towards what the sensor did read; without noise it is a free run. The filter knows whether motor and
+link touch. In the gap each has its own uncertainty, and no sensor sees the motor. After a silence the filter restarts
+at the reading, and has predicted nothing. The command is held from stamp to stamp and acts `delay` later; pieces
+between edges are split so that none exceeds `longest`. `closed` simulates the rig's own loop: command = r * reference -
+y * output - v * velocity, raised to the smallest that the loop gives, clipped at the largest.
 """
 
 # mypy: ignore-errors
@@ -23,9 +22,9 @@ import numpy as np
 def believing(noise, now, c):
     """The covariance where a filter begins, with link and motor as one, in units of a reading's variance.
 
-    `c` (11,) is that of the link's position and velocity (xx, xv, vv), of the motor's, between them (xx, xv, vx, vv),
-    and when there was a reading last; `noise` (4,) the density of the torque noise, the variances of position and
-    velocity at the start, and how long a silence may be.
+    `c` (11,) holds the covariance of the link's position and velocity (xx, xv, vv), that of the motor's, those between
+    them (xx, xv, vx, vv), and the time of the last reading. `noise` (4,) holds the density of the torque noise, the
+    variances of position and velocity at the start, and the longest silence.
     """
     c[:] = 0.0
     c[0] = c[3] = c[6] = noise[1]
@@ -34,10 +33,10 @@ def believing(noise, now, c):
 
 
 def spreading(c, h, damping, density, share, touching):
-    """Move the covariance by the time h. Where link and motor touch they are one: what is then known is what was known
-    of their mass centre, which an impact leaves alone, whenever it happened. In the gap the motor, of `share` of the
-    inertia, takes half of the torque noise, and the link is as uncertain as where they touch, whatever it weighs: were
-    it the more so the lighter it is, a link of next to nothing would be followed without memory, and be likely.
+    """Move the covariance by the time h. Link and motor that touch are one body. What is then known is what was known
+    of their centre of mass: an impact does not change it, whenever it happened. In the gap the motor, with `share` of
+    the inertia, takes half of the torque noise. The link's noise there is that of contact, whatever its mass. If it
+    grew as the link gets lighter, the filter would have no memory for a very light link, which would then be likely.
     """
     f = np.exp(-damping * h)
     g = h
@@ -101,8 +100,8 @@ def correcting(c, speed, of_motor, seen, gain):
 def predict(time, command, measured, noise, speed, closed, law, x, p, k, longest, predicted, spread, pull, states):
     """Fill `predicted` and `spread` (N,) and, where they have rows, `pull` (N,) and `states` (N, states).
 
-    `spread` is the variance to expect of an innovation in units of the reading's, `pull` the velocity that a unit of
-    it adds to the mass centre. `command` is filled where the loop is closed; `noise` as in `believing`.
+    `spread` is the expected variance of an innovation in units of the reading's. `pull` is the velocity that a unit of
+    it adds to the centre of mass. `command` is filled where the loop is closed; `noise` as in `believing`.
     """
     count = len(time)
     x = numbers(x)

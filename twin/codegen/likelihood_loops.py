@@ -1,7 +1,8 @@
-"""The loops over what a run foresaw: errors, their scale under Huber's loss, and what each says of the parameters.
+"""The loops over the predictions of a run: errors, their scale under Huber's loss, and what each says of the
+parameters.
 
-Written as those of `drivers`, and compiled with them: in numpy each line is an array of its own, and all of them took
-a twelfth of what an evaluation takes.
+Written as those of `kalman_loops`, and compiled with them. In numpy each line is an array of its own, and all of them
+took a twelfth of the time of an evaluation.
 """
 
 # mypy: ignore-errors
@@ -49,7 +50,7 @@ def normalising(error, variance, squares):
 def scaling(squares, limit):
     """The scale of squared normalised innovations under Huber's loss, and that loss; infinite where one is not finite.
 
-    The scale solves scale = mean of min(z^2, limit sqrt(scale) z), whose right side is concave: from the mean, which
+    The scale solves scale = mean of min(z^2, limit sqrt(scale) z), whose right side is concave. From the mean, which
     lies above, Newton's steps go down to it and never beyond.
     """
     mean = 0.0

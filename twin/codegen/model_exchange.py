@@ -4,8 +4,8 @@ In the stepper's language, with the stepper's laws. A body slides forwards (mode
 (0); the solver finds the zeros of the margins, and `settle` then chooses anew. Rigid contact and dead time are
 not expressed here: structures that have them are for co-simulation only.
 
-The margins have a hysteresis, as event indicators need it: each is `HYSTERESIS` above zero at the moment at which the
-mode may change, so that it is never zero when a mode begins, and its sign changes whatever the motion does next.
+The margins have a hysteresis, as event indicators need it. Each is `HYSTERESIS` above zero at the moment at which the
+mode may change. So it is never zero when a mode begins, and its sign changes whatever the motion does next.
 """
 
 # mypy: ignore-errors
@@ -283,8 +283,8 @@ def write(structure: Structure) -> str:
 def write_derivatives(structure: Structure) -> str:
     """C text of the exact derivatives, one direction at a time.
 
-    `step_t` and `sensor_t`, and `rates_t` where an outside solver is offered: beside each value stands its slope, `xd`
-    and `pd` hold those of states and parameters, and the last argument takes that of the result.
+    `step_t` and `sensor_t`, and `rates_t` where an outside solver is offered. Beside each value stands its slope. `xd`
+    and `pd` hold the slopes of states and parameters, and the last argument takes that of the result.
     """
     solved = offered(structure)
     more = [f for f in _functions(structure) if f.name not in ("settle", "chosen")] if solved else []

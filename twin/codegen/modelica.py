@@ -1,9 +1,8 @@
 """The axis as a Modelica package: the same laws as equations, with units and documentation from the pages.
 
-Two things cannot be said in Modelica as the stepper says them, and the text says so where it stands:
-dry friction, which holds exactly in the stepper, is held here by a bristle that gives by one microradian
-(Canudas de Wit et al., A new model for control of systems with friction, IEEE TAC 40, 1995), and rigid contact
-across the backlash is a stiff, well damped spring.
+Modelica cannot state two things as the stepper does, and the text says so at their place. Dry friction, which holds
+exactly in the stepper, is a bristle here that gives by one microradian (Canudas de Wit et al., A new model for control
+of systems with friction, IEEE TAC 40, 1995). Rigid contact across the backlash is a stiff, well damped spring.
 """
 
 from __future__ import annotations

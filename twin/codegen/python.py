@@ -1,9 +1,9 @@
 """The axis as plain Python text: what numba compiles and what the FMU embeds.
 
-Two forms of the same text. For one structure: only its effects, `has.x` folded away, parameters numbered in
-the structure's order. Switched: every effect behind a switch, so that one compiled kernel serves all
-structures; the switches of the effects, then those of the slots and that of the commonest structures, follow the
-parameters in `p`.
+Two forms of the same text. For one structure: only its effects, `has.x` folded away, parameters numbered in the
+structure's order. Switched: every effect is behind a switch, so that one compiled kernel serves all structures. In `p`
+the parameters come first. The switches of the effects follow, then those of the slots and that of the commonest
+structures.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Sixteen numbers that the processor handles side by side: the type in which compiled derivatives are carried.
 
 A `Lanes` value is one derivative with respect to up to sixteen parameters. numba keeps it in registers as an LLVM
-vector, so that the text of a derivative reads like the text it was derived from, one line per line and without
-loops. Products with zero are taken to be zero, and multiplications and additions may be fused.
+vector. So the text of a derivative reads like the text it was derived from, one line per line and without loops.
+Products with zero are taken to be zero, and multiplications and additions may be fused.
 
-Derivatives are carried in single precision, the model itself in double: to know where to go next, and how sure one
-is, seven digits will do, and twice as many lanes fit a register.
+Derivatives are in single precision, the model itself in double. Seven digits are enough for the next step and the
+standard errors, and twice as many lanes fit a register.
 """
 
 # mypy: ignore-errors

@@ -1,9 +1,9 @@
 """From a model to a feedback-linearising tracking controller.
 
-The inverse of the model's own laws turns the axis into a chain of integrators; python-control places that
-chain's poles at the asked bandwidth and designs the observer on the quantised encoder. The observer also
-carries the torque that the model lacks: that is the integral action, and since it is told the command that
-was really given, it does not wind up (Franklin, Powell, Workman, Digital Control of Dynamic Systems, 1998).
+The inverse of the model's own laws turns the axis into a chain of integrators. python-control places that chain's poles
+at the asked bandwidth, and designs the observer on the quantised encoder. The observer also estimates the torque that
+the model lacks: that is the integral action. It knows the command that was really given, so it does not wind up
+(Franklin, Powell, Workman, Digital Control of Dynamic Systems, 1998).
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _TURN = np.linspace(0.0, 2.0 * math.pi, 25).tolist()  # places at one of which t
 
 
 def _cancelled(model: Model) -> Structure:
-    """What observer and inverse contain: all but what hangs on a moment, a wall, or rings beyond the loop, and but
-    what has a motion of its own that nobody sees.
+    """The structure of observer and inverse. It leaves out loads that depend on time, end stops, resonances beyond the
+    loop, and effects with a motion of their own that no sensor sees.
     """
     left_out = []
     for effect in model.structure.effects:
@@ -108,8 +108,8 @@ def _reading_variance(model: Model) -> float:
 def _observer(model: Model, controller: Controller, rate: float) -> tuple[dict[str, float], float]:
     """Gains of the steady Kalman filter on position, velocity and unmodelled torque; the speed's spread.
 
-    The filter is at least four times as fast as the loop and its integral action half as fast: the noise
-    densities are raised to what that takes where the model's own are smaller.
+    The filter is at least four times as fast as the loop, and its integral action half as fast. Where the model's own
+    noise densities are too small for that, they are raised.
     """
     plant = replace(linearization.linearise(controller), lag_time=0.0)
     period = model.sample_time

@@ -1,7 +1,7 @@
 """What an effect is: one page of physics.
 
-A page says what the effect is, its parameters, where in the machine it acts, its law, what it
-promises, and what it is easily mistaken for. Every other text about the effect (kernel, FMU, report
+A page says what the effect is and gives its parameters, its station in the machine and its law. It also says what the
+law promises and what the effect is easily mistaken for. Every other text about the effect (kernel, FMU, report
 equation, Modelica) is generated from the law.
 """
 

@@ -73,8 +73,8 @@ def slopes(widths: Sequence[Any], heights: Sequence[Any]) -> list[Any]:
 
 
 def line(x: Any, prefix: str, p: Any) -> Any:
-    """The line through the knots at x; outside it goes on, as most torques do, along the chord of its last piece: the
-    slope at an end is less sure, and a resistance that fell for long would drive.
+    """The curve through the knots at x. Outside it goes on along the chord of its last piece, as most torques do. The
+    slope at an end is less certain, and with it a resistance that fell for long would drive.
     """
     heights = [getattr(p, n) for n in names(prefix)]
     between = [getattr(p, n) for n in widths(prefix)]

@@ -1,7 +1,7 @@
 """The words that a physical law may use.
 
-Each works on plain floats and on SymPy expressions, so that one function is both the law that runs
-and the text from which every other tongue is written.
+Each works on plain floats and on SymPy expressions. So one function is both the law that runs and the text from which
+every other language is written.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Opening somebody's FMU: nothing is run, and nothing is written outside a folder of our own.
 
-Every reader of FMUs goes through `open_fmu`, which refuses what an archive or its XML can hold against us:
-names that lead out of the folder, links, encrypted members, archives and descriptions that swell, declarations
-of entities.
+Every reader of FMUs goes through `open_fmu`, which refuses hostile archives and XML. These are names that lead out of
+the folder, links, encrypted members, archives and descriptions that swell, and declarations of entities.
 """
 
 from __future__ import annotations

@@ -67,9 +67,9 @@ class Misfit:
 def misfit(recording: Recording, ran: Replay, ahead: float | None = None, since: float = 0.0) -> Misfit:
     """Errors of a free run, or of the prediction `ahead` seconds ahead.
 
-    The prediction is what was recorded, and what the FMU moves from then on: the error of the free run at that time is
-    taken off as a constant output disturbance, as in dynamic matrix control (Cutler and Ramaker, 1980). So errors that
-    were gathered long before do not count, and those that arise within that time do, such as those of a lag.
+    The prediction is the recorded output plus what the FMU moves from then on. The error of the free run at that time
+    is subtracted as a constant output disturbance, as in dynamic matrix control (Cutler and Ramaker, 1980). So errors
+    that were gathered long before do not count, and those that arise within that time do, such as those of a lag.
 
     Parameters
     ----------
@@ -80,8 +80,8 @@ def misfit(recording: Recording, ran: Replay, ahead: float | None = None, since:
     ahead
         s; None for the free run itself.
     since
-        s; what comes before only leads there. A position is then moved to the first reading that is judged, as that of
-        a free run in a diagnosis is: a lag that starts at rest amid the motion leaves an offset for ever.
+        s; what comes before is not judged. A position is then moved to the first reading that is judged, as for a free
+        run in a diagnosis: a lag that starts at rest amid the motion leaves a permanent offset.
 
     Raises
     ------

@@ -76,8 +76,8 @@ def described(model: Model) -> bytes:
 def export(model: Model, out: Path, force: bool = False) -> Path:
     """Write the model's FMU (FMI 2.0 co-simulation, through pythonfmu). Raises BadInput.
 
-    Where a C compiler is at hand, the stepper is inside compiled as well, for Linux x86_64: a step that costs tens of
-    microseconds in Python then costs one. Where that does not load, the same text runs in Python.
+    Where a C compiler is at hand, the compiled stepper for Linux x86_64 is inside as well. It takes a microsecond for a
+    step that takes tens of them in Python. Where that does not load, the same text runs in Python.
     """
     check_free(out, force)
     resources: dict[str, str | bytes] = {
@@ -214,10 +214,10 @@ _EARNED = 9.0
 def start_state(recording: Recording, window: float = 0.02) -> Start:
     """State at the first stamp from the readings of the first `window` s, with the fewest terms that describe them.
 
-    A line through an axis that sets off from rest would start it faster than it was, and the position error would be
-    that speed times the time constant ever after. So rest, acceleration from rest, a steady speed and a changing speed
-    compete by their squared error over the noise plus a price for each term. A recording of speed begins at position
-    zero. Raises BadInput where nothing was read.
+    A line through an axis that starts from rest would give it too high a speed. The position error would then be that
+    speed times the time constant, for the rest of the run. So rest, acceleration from rest, a steady speed and a
+    changing speed compete by their squared error over the noise plus a price for each term. A recording of speed begins
+    at position zero. Raises BadInput where nothing was read.
     """
     seen = np.flatnonzero(np.isfinite(recording.output))
     if seen.size == 0:
@@ -265,12 +265,11 @@ def _is_own(model: Model, recording: Recording) -> bool:
 def replay(fmu: Path, recording: Recording, start: tuple[float, float] | None = None, closed: bool = False) -> Replay:
     """Drive the recorded input through the FMU in FMPy, one communication step from stamp to stamp.
 
-    `closed` closes the rig's own loop around the FMU instead: the input is what that commands, from the recorded
-    reference and what the FMU's sensor reads, in steps as short as the loop's. `start` is position and velocity at the
-    first stamp; where not given, those at which what was read first is read, by the sensor of the FMU's model. Known
-    quantities of the recording are set.
-    A duty drives in proportion to the supply where that is logged, by the nominal one that the FMU's model knows.
-    Raises BadInput where the FMU refuses or its results are NaN.
+    `closed` simulates the rig's own loop around the FMU instead. The input is then the command of that loop, from the
+    recorded reference and the reading of the FMU's sensor. The steps are as short as the loop's. `start` is position
+    and velocity at the first stamp. By default the sensor of the FMU's model gives the first reading there. Known
+    quantities of the recording are set. A duty drives in proportion to the supply where that is logged, by the nominal
+    one that the FMU's model knows. Raises BadInput where the FMU refuses or its results are NaN.
     """
     opened = open_fmu(fmu)
     model = read_model(fmu) if _MODEL in opened.members else None

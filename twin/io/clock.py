@@ -50,8 +50,8 @@ def undo_counter_wraps(stamps: FloatArray) -> tuple[FloatArray, list[int]]:
 def bridge_jumps(time: FloatArray, reading: FloatArray) -> tuple[FloatArray, list[int]]:
     """Stamps of a clock that was set while the axis moved on, and where.
 
-    At a pause of the log an axis in motion would have moved on by far more than from row to row, and at a new recording
-    it would be elsewhere. Where the reading goes on as if one step had passed, one step did pass.
+    At a pause of the log, an axis in motion would have moved on by far more than from row to row. At a new recording it
+    would be elsewhere. Where the reading goes on as if one step had passed, one step did pass.
     """
     step = np.diff(time)
     usual = float(np.median(step[step > 0])) if np.any(step > 0) else 0.0

@@ -1,8 +1,7 @@
 """Faults of a recording, as opposed to things that the axis really did.
 
-Each rule asks for something that no axis can do, not just for something unusual: a fault that is invented
-costs more than one that is missed, because a standstill from dry friction or a hit in the backlash is what
-we want to learn from.
+Each rule asks for something that no axis can do, not just for something unusual. A false fault costs more than a missed
+one, because a standstill from dry friction or an impact in the backlash is what we want to learn from.
 """
 
 from collections.abc import Sequence
@@ -128,8 +127,8 @@ def find_gaps(time: FloatArray) -> list[Fault]:
 def find_outliers(values: FloatArray, resolution: float) -> BoolArray:
     """Single readings (or two in a row) that jump away and come back.
 
-    A reading is an outlier when it lies off the median of its neighbourhood by more than 10 counts, by more
-    than 5 times any step around it, and by at least a quarter of the fastest step of the whole recording.
+    A reading is an outlier when its distance from the median of its neighbourhood passes three limits. They are 10
+    counts, 5 times any step around it, and a quarter of the fastest step of the whole recording.
     """
     found = np.zeros(values.size, dtype=bool)
     good = np.flatnonzero(np.isfinite(values))
@@ -190,10 +189,10 @@ def find_held(time: FloatArray, values: FloatArray, resolution: float) -> tuple[
 def _is_freeze(t: FloatArray, y: FloatArray, a: int, b: int, fastest: float, resolution: float) -> bool:
     """Whether the axis went on during the standstill y[a] = ... = y[b].
 
-    True when the jump at its end is faster than the axis ever moves; when the axis was moving as it began
-    and the jump is far larger than any step around; or when, away from the ends of the range, it neither
-    braked before nor started after: a hit in the backlash sets a link going at once, but nothing stops it
-    at once except an end stop.
+    True in each of three cases. The jump at its end is faster than the axis ever moves. Or the axis was moving as it
+    began, and the jump is far larger than any step around. Or, away from the ends of the range, it neither braked
+    before nor started after. An impact in the backlash can start a link at once, but only an end stop can halt it at
+    once.
     """
     jump = abs(y[b + 1] - y[b])
     before = np.abs(np.diff(y[max(0, a - 5) : a + 1]))

@@ -1,7 +1,7 @@
 """Files and folders that appear whole or not at all.
 
 What is written is first a draft beside its place, `.NAME.draft`, which its writer holds a lock on. So a second writer
-to the same name is told so, and what a writer that was killed has left is taken over by the next one.
+to the same name is refused. What a killed writer has left is taken over by the next one.
 """
 
 from __future__ import annotations

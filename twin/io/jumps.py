@@ -96,9 +96,9 @@ def circular_outliers(readings: Readings, turn: float) -> BoolArray:
 def _is_wrapped(readings: Readings, turn: float) -> bool:
     """Whether the reading wraps at this turn.
 
-    All readings lie within one turn; folded, the steps at the jumps agree with those around them as well as the other
-    steps do, while a whole turn is far more than any change of speed elsewhere; and the axis runs through at least one
-    jump, so that two rest positions a turn apart are no wrap.
+    All readings lie within one turn. Once folded, the steps at the jumps agree with those around them as well as other
+    steps do. A whole turn is far more than any change of speed elsewhere. The axis runs through at least one jump: two
+    rest positions a turn apart are no wrap.
     """
     y = readings.value
     step = readings.step
@@ -168,8 +168,8 @@ def undo_wraps(
     Returns
     -------
     values, outliers, faults
-        The unwrapped reading; the readings (N,) that jump away and come back, which a wrapped reading shows on the
-        circle only; a fault of kind wrap at each jump.
+        The unwrapped reading. The readings (N,) that jump away and come back, which a wrapped reading shows on the
+        circle only. A fault of kind wrap at each jump.
 
     Raises
     ------

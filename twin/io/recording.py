@@ -177,8 +177,8 @@ def known_quantities(recording: Recording) -> dict[str, float]:
 
 
 def told_of(recording: Recording) -> dict[str, float]:
-    """What a model keeps of what is known: the axis' inertia (kg m^2), of a linear axis its mass (kg), and the supply
-    (V) at which a duty drives as the input gain says.
+    """What a model keeps of what is known: the axis' inertia (kg m^2), or the mass (kg) of a linear axis, and the
+    supply (V) to which the input gain refers.
     """
     names = {"inertia": "mass" if recording.output_unit.startswith("m") else "inertia", _NOMINAL: _NOMINAL}
     return {ours: recording.known[theirs] for ours, theirs in names.items() if theirs in recording.known}
@@ -201,8 +201,8 @@ def as_told(recording: Recording, known: Mapping[str, float]) -> Recording:
 
 
 def _share_supply(recordings: list[Recording]) -> list[Recording]:
-    """One axis, one supply at which a duty drives as the input gain says: were it each recording's own, a battery that
-    runs down would be another gain in each.
+    """One axis has one supply to which the input gain refers. With one for each recording, a battery that runs down
+    would be another gain in each.
     """
     logged = [float(np.nanmedian(r.optional["supply"])) for r in recordings if "supply" in r.optional]
     if not logged:
@@ -255,10 +255,9 @@ def faults_of(recordings: Sequence[Recording]) -> list[dict[str, Any]]:
 def load(paths: Sequence[Path], rig: Path | None = None) -> tuple[list[Recording], Rig]:
     """Load recordings and manifests, all with the same rig.
 
-    `paths`: recordings or manifests (a CSV with a column `file`, relative to the manifest; optional
-    columns `role`, `start` and `end` in s to cut a window, and numeric ones, which are known quantities of
-    that recording). `rig`: the rig file; without one, the rig.toml beside the first path, else a guess
-    from the column names.
+    `paths`: recordings or manifests. A manifest is a CSV with a column `file`, relative to the manifest. Its optional
+    columns are `role`, and `start` and `end` in s to cut a window. Its numeric columns are known quantities of that
+    recording. `rig`: the rig file; without one, the rig.toml beside the first path, else a guess from the column names.
 
     Raises BadInput for anything that cannot be used, also when input or output never changes in any of the
     recordings. In a set, single recordings may stand still: that is how a dead band shows.

@@ -71,8 +71,8 @@ def find_count(values: FloatArray) -> float:
 
     All readings differ by whole counts. The least spacing between two of them is some whole number of counts: the
     largest part of it that divides the other small spacings is taken. By chance, a spacing lies within a tenth of a
-    whole number of counts one time in five, so that twelve of them in a row are no chance (4e-9). The range of all
-    readings then fixes the count to many digits.
+    whole number of counts one time in five. Twelve of them in a row are no chance (4e-9). The range of all readings
+    then fixes the count to many digits.
     """
     levels = np.unique(values[np.isfinite(values)])
     spacing = np.sort(np.diff(levels))

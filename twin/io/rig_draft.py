@@ -78,8 +78,8 @@ def draft(log: Path) -> Draft:
     Returns
     -------
     Draft
-        The text of a rig file that loads the recording. What the checks before a fit find, such as a reversed sensor
-        or a lost sign, is mended in it; what cannot be known from a log is said as a comment.
+        The text of a rig file that loads the recording. Faults that the checks before a fit find, such as a reversed
+        sensor or a lost sign, are corrected in it. What a log cannot show is said as a comment.
 
     Raises
     ------

@@ -41,8 +41,8 @@ class Clock:
 class Column:
     """One column of the table and how its numbers become a quantity: (raw - offset) * scale * factor + zero.
 
-    `full_scale` (input only) is the raw value at full drive, for commands that are neither percent nor a
-    fraction but timer ticks: the value is then 100 * (raw - offset) * scale / full_scale percent.
+    `full_scale` (input only) is the raw value at full drive, for commands in timer ticks instead of percent or a
+    fraction. The value is then 100 * (raw - offset) * scale / full_scale percent.
     """
 
     name: str  # of a file without a header the column's number, from 1
@@ -122,12 +122,12 @@ _ELSEWHERE = ("file", "time_column", "time_unit")  # keys of a column that may l
 def read_rig(path: Path) -> Rig:
     """Read a rig file.
 
-    Beyond the plain keys, a column may have `offset` and `scale` (value = (raw - offset) * scale, before the
-    unit) and `resolution` (one count, in the column's unit). An input that is logged in timer ticks has
-    `full_scale`, the ticks at full drive, in place of a unit: full_scale = 5299 makes 5299 ticks 100 %.
-    [known] and the gains of [loop] are numbers or names of manifest columns (or of scalars in a MAT file);
-    `gain_scale` multiplies the gain. `signed_bits` = 8, 16 or 32 gives a signed integer its sign back that
-    was logged without it. Of a file without a header `column` is a number, from 1.
+    Beyond the plain keys, a column may have `offset` and `scale` (value = (raw - offset) * scale, before the unit) and
+    `resolution` (one count, in the column's unit). For an input that is logged in timer ticks, `full_scale` gives the
+    ticks at full drive, in place of a unit: full_scale = 5299 makes 5299 ticks 100 %. [known] and the gains of [loop]
+    are numbers or names of manifest columns (or of scalars in a MAT file); `gain_scale` multiplies the gain.
+    `signed_bits` = 8, 16 or 32 gives a signed integer its sign back that was logged without it. Of a file without a
+    header `column` is a number, from 1.
 
     Raises BadInput for TOML that cannot be read, an unknown key, a wrong unit, or a value of the wrong kind.
     """

@@ -53,8 +53,8 @@ def parse_toml(content: str) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        In one line what is wrong and where, also for what the parser of the standard library does not name so: integers
-        of thousands of digits and tables nested too deep.
+        In one line what is wrong and where. This includes two errors that the parser of the standard library does not
+        place: integers of thousands of digits and tables nested too deep.
     """
     try:
         return tomllib.loads(content)

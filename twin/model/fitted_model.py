@@ -93,8 +93,8 @@ class Model(Tabular):
         return self.parameter(name).unit_for(self.axis_unit, self.input_unit)
 
     def torque(self, name: str) -> str:
-        """A parameter that is an acceleration as the torque (N*m) or force (N) that it is; empty where it is none, or
-        the inertia is not known.
+        """A parameter that is an acceleration, as the torque (N*m) or force (N) that causes it. Empty where it is no
+        acceleration, or the inertia is not known.
         """
         inertia = self.known.get("inertia", 0.0)
         if not inertia or self.unit(name) != f"{self.axis_unit}/s^2":

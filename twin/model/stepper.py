@@ -261,10 +261,10 @@ def halved(length, rate, most):
 def piece(x, p, k, command, h):
     """Move the axis by h, or to the next event if that comes first; return the time moved.
 
-    Torques are those at the predicted middle of the piece, so it is of second order; for torques of position
-    alone it is the symplectic leapfrog. Under constant torques positions are parabolas, and the first stick,
-    reversal or contact on them ends the piece: the next one starts with torques as they are there. While elastic teeth
-    press, what lies between two torques is no parabola but the swing of a damped spring, which is known as well.
+    Torques are those at the predicted middle of the piece, so it is of second order; for torques of position alone it
+    is the symplectic leapfrog. Under constant torques positions are parabolas. The first stick, reversal or contact on
+    them ends the piece, and the next one starts with the torques at that point. While elastic teeth press, what lies
+    between two torques is no parabola but the swing of a damped spring, which is known as well.
     """
     if has.load_change:
         until = p.load_time - x.time
@@ -343,9 +343,9 @@ def piece(x, p, k, command, h):
             slows = 200.0
         h = halved(h, slows, 0.015)
     # What presses is a spring with a damper, whose motion between two torques is known (`flow`): in pieces that only
-    # the torques need. Where a flank lets go or a body stops within one, it is done in `fine` pieces as everything
-    # else is: a ringing that is left to coarse ones before it has died down ends elsewhere for every next to nothing
-    # that the model changes; what is damped so hard that a step would overshoot its rest would chatter.
+    # the torques need. Where a flank separates or a body stops within one, the step uses `fine` pieces like everything
+    # else. Coarse pieces before a ringing has decayed would make its end depend on the smallest change of the model. A
+    # body with so much damping that a step would pass its rest would chatter.
     flow = 0
     lean = 0.0
     fine = h

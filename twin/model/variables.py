@@ -1,15 +1,14 @@
 """What an FMU of a model shows to the outside: one list, which every kind of FMU is written from.
 
-Communication steps are run as `twin.codegen.kalman_loops.predict` runs the steps of a recording. A piece between
-two edges of the command, of length d, takes max(1, int(d / model.longest_step + ROUND)) equal internal steps.
-The command is held over a communication step and acts `delay` later. With a delay, the commands on their way
-stand in a line, oldest first, as pairs (time since the start at which it was given, value); `acting_command`
-is the one that acts (0 until the first arrives). At the start of a communication step its command joins the
-line; then, until the step is done: the head leaves the line and acts once its time + delay <= now, and the
-next piece ends where the new head will arrive or the step ends, whichever is first. Moments within
-(1 - ROUND) * model.longest_step are the same moment.
-A full line makes room by joining the two neighbours that together lasted shortest (the first such pair), to
-their mean over that time.
+Communication steps are run as `twin.codegen.kalman_loops.predict` runs the steps of a recording. A piece between two
+edges of the command, of length d, takes max(1, int(d / model.longest_step + ROUND)) equal internal steps. The command
+is held over a communication step and acts `delay` later. With a delay, the commands on their way stand in a line,
+oldest first, as pairs (time since the start at which it was given, value); `acting_command` is the one that acts (0
+until the first arrives). At the start of a communication step its command joins the line. Then this repeats until the
+step is done. The head leaves the line and acts once its time + delay <= now. The next piece ends where the new head
+will arrive or the step ends, whichever is first. Moments within (1 - ROUND) * model.longest_step are the same moment. A
+full line makes room by joining the two neighbours that together lasted shortest (the first such pair), to their mean
+over that time.
 """
 
 from __future__ import annotations

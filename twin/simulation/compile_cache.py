@@ -1,6 +1,6 @@
 """Compiled kernels on disk: what is read is what this user has written, or it is made anew.
 
-Machine code from a file is run, so each file begins with the SHA-256 of its name and its content, belongs to the user,
+Machine code from a file is run. So each file begins with the SHA-256 of its name and its content, belongs to the user,
 and may be written by nobody else. Damage of whatever kind means that the file goes and is compiled again. Files appear
 whole: processes that compile the same at once do not disturb one another. numba's own cache does none of this.
 """

@@ -1,7 +1,7 @@
 """The compiled kernel: one for all structures (shapes without a name have a second), written from the laws.
 
-Its code and the machine code that numba makes of it are kept in the user's cache folder (`compile_cache`), under the
-hash of the files that they come from. A changed law is another hash is another file.
+Its code and numba's machine code are kept in the user's cache folder (`compile_cache`), under the hash of the files
+that they come from. A changed law is another hash is another file.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ from twin.simulation.compile_cache import kept"""
 #: same text, that does not ask for anything else.
 COMMON = (*BASE, "tooth_compliance", "coulomb_friction", "friction_asymmetry", "constant_offset", "gravity")
 
-#: The shapes without a name take as long to compile as all that has one and are rarely asked for: a kernel of their
-#: own holds them, with the same numbering.
+#: The nameless curves take as long to compile as all named effects, and are rarely needed. A kernel of their own holds
+#: them, with the same numbering.
 NAMED = EVERYTHING.without(*UNKNOWN)
 
 #: The files that the kernel is written from.

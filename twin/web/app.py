@@ -1,7 +1,7 @@
 """The server of the page: routes, what they refuse, and how it is run.
 
-It listens on 127.0.0.1 alone. Another page in the same browser must not reach it: the Host header has to name this
-machine (a name that is rebound to 127.0.0.1 does not), and what changes anything has to come from its own page.
+It listens on 127.0.0.1 alone. Another page in the same browser must not reach it. So the Host header has to name this
+machine: a name that is rebound to 127.0.0.1 does not. A request that changes anything has to come from its own page.
 """
 
 from __future__ import annotations

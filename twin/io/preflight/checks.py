@@ -87,7 +87,7 @@ def stays_in_dead_band(recordings: Sequence[Signals]) -> list[Finding]:
 def duty_scale(recordings: Sequence[Signals]) -> list[Finding]:
     """A duty in percent that never exceeds 1, or goes beyond 100.
 
-    No gear motor moves on a hundredth of its drive, and no drive gives more than all of it: such numbers are a
+    No gear motor moves at a hundredth of its drive, and no drive gives more than all of it. Such numbers are a
     fraction, or the ticks of a timer.
     """
     if recordings[0].input_unit != "%":
@@ -135,10 +135,10 @@ def _magnitude(rows: Regression) -> FloatArray:
 def lost_sign(recordings: Sequence[Signals], seen: Response) -> list[Finding]:
     """A command or a speed that is a magnitude: its sign was lost.
 
-    A command that is never negative drives one way. Where the axis runs both ways, and the command explains hardly any
-    change of speed but the size of the speed, it drives each motion in its own direction, and its sign is elsewhere. A
-    load that falls back is braked by the command, which then explains the change of speed. In the same way, a speed
-    that is never negative, and answers to the magnitude of a command of both signs, has lost its own.
+    A command that is never negative drives one way. The axis runs both ways, and the command explains hardly any change
+    of speed but the size of the speed. Then it drives each motion in its own direction, and its sign is in another
+    column. A load that falls back is braked by the command, which then explains the change of speed. In the same way, a
+    speed that is never negative, and answers to the magnitude of a command of both signs, has lost its own.
     """
     least = min(float(np.min(r.command)) for r in recordings)
     speed = seen.rows.motion[:, 0]

@@ -1,7 +1,7 @@
 """Delimited text: CSV and its dialects.
 
-The shape of a file follows from its rows of numbers, not from its first line: the separator is the one that cuts most
-lines into the same number of cells that are numbers, the first row is the first such line, and the names stand in the
+The shape of a file follows from its rows of numbers, not from its first line. The separator is the one that cuts most
+lines into the same number of cells that are numbers. The first row is the first such line. The names stand in the
 nearest line above it that has as many cells and holds no number.
 """
 
