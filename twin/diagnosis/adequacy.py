@@ -1,8 +1,8 @@
 """How good a model is, measured apart from the search that chose it.
 
-Three figures, each for the first and the last model, that no fit has made small: the error of the free run against the
-one that the model's own noise makes (`twin.diagnosis.drift`), on fitted and on held-out data; the torque that the model
-lacks against the torque that the drive made; and where the held-out data leave the range of the fitted ones.
+Three figures, each for the first and the last model, that no fit has minimised. (1) The error of the free run against
+the one that the model's own noise makes (`twin.diagnosis.drift`), on fitted and on held-out data. (2) The torque that
+the model lacks against the torque of the drive. (3) Where the held-out data leave the range of the fitted ones.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def _axes(point: Fit) -> FloatArray:
 def _chords(case: PreparedRecording, point: Fit) -> FloatArray:
     """What one standard error along each axis changes in the free run (N, n): half the difference of both sides.
 
-    A chord holds where the slope does not: behind a gap a slope grows from meeting to meeting without end.
+    A chord holds where the slope does not: behind a gap a slope grows from contact to contact without end.
     """
 
     def run(step: FloatArray) -> FloatArray:

@@ -106,8 +106,9 @@ def against_given(found: Diagnosis, given: Model, closed_loop: bool = False) -> 
 def fit_again(model: Model, recordings: Recording | Sequence[Recording]) -> Model:
     """Fit a model's structure to later recordings of its axis; what the model holds fixed stays.
 
-    A likelihood behind a gap has several maxima. The one near the model's own values is taken where none is likelier by
-    what an effect would have to gain: else parameters seem to change from one maximum to another.
+    A likelihood behind a gap has several maxima. The one near the model's own values is taken, unless another is
+    likelier by the gain that a new effect would need. Otherwise parameters would seem to change from one maximum to
+    another.
 
     Raises
     ------

@@ -1,14 +1,14 @@
 """What changed: a model against a later fit of the same structure.
 
-Both fits have errors that hang together, so the question is not which values differ but which few parameters have to
+The errors of each fit are correlated. So the question is not which values differ, but which few parameters have to
 differ for the rest to agree. The differences d of two independent fits are Gaussian with the sum S of their
-covariances. A hypothesis names a few directions A in which the axis may have changed; it leaves
-min (d - A x)' S^-1 (d - A x), a chi-square variable where it is true. Each direction has to remove more than chance
-does in one of a hundred unchanged axes, all directions that are tried included (Bonferroni); the set that is best by
-that price is taken.
+covariances. A hypothesis names a few directions A in which the axis may have changed. It leaves min (d - A x)' S^-1 (d
+- A x), a chi-square variable where it is true. Each direction has to remove more than chance does in one of a hundred
+unchanged axes, over all directions that are tried (Bonferroni). The set with the best sum of chi-square and this
+penalty is taken.
 
-A direction is one parameter, or what one cause does to several: all torques stand over the inertia, so that an
-inertia which grows by r divides them all by r.
+A direction is one parameter, or what one cause does to several. For example, all torques are divided by the inertia: an
+inertia that grows by r divides them all by r.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Does an addition foretell what it was not fitted to?
+"""Does an addition predict data that it was not fitted to?
 
-Twelve knots follow slow noise and earn their price by it, and where errors hang together every gain looks surer than it
-is. So the values of an addition are fitted without one stretch of half a second in five, and on what was left out the
-larger model is held against the smaller one (Stone, Cross-validatory choice, J. R. Stat. Soc. B 36, 1974). What counts
-is on how many stretches it does better, the more the better it does there, but no stretch outvotes the rest (Wilcoxon,
-Individual comparisons by ranking methods, Biometrics Bulletin 1, 1945); or, of what acts in a few places only, whether
-none of the largest changes is a loss.
+Twelve knots follow slow noise and gain more than their penalty by it. Where errors are correlated, every gain looks
+more certain than it is. So the values of an addition are fitted without one stretch of half a second in five. On the
+left-out stretches the larger model is compared with the smaller one (Stone, Cross-validatory choice, J. R. Stat. Soc. B
+36, 1974). The number of stretches with a gain counts, weighted by the rank of the gain, so that no stretch outvotes the
+rest (Wilcoxon, Individual comparisons by ranking methods, Biometrics Bulletin 1, 1945). For what acts in a few places
+only, none of the largest changes may be a loss.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ def recording_gains(problem: FitProblem, smaller: Fit, larger: Fit) -> FloatArra
 
 
 def gain_p_value(problem: FitProblem, smaller: Fit, larger: Fit) -> float:
-    """The chance that the larger model would do better on as many stretches, were there nothing to what it adds; or
-    that all of the largest changes would be gains, as where it acts in one place only.
+    """The chance that the larger model does better on as many stretches although its addition is not real. Or the
+    chance that all of the largest changes are gains, for what acts in one place only.
     """
     return p_value_of_gains(block_gains(problem, smaller, larger))
 

@@ -1,11 +1,11 @@
 """Named torques that something without a name stands for better, or one curve as well where they cancel each other.
 
-A spring that stiffens has no page. Over a short travel a spring describes most of it; about the place where gravity
-stands on its head a spring of its strength leaves k (x - sin x), nearly k x^3 / 6, and describes it with gravity. So
-what a model names over the position, and over the speed, is held against a curve over it. Friction whose bristles
-bend before they slide goes with the way since the last reversal, which no curve over a state of motion follows; most
-of it is dry friction, which is held against it. And where a motor's gain goes with its turn the axis swings about its
-way as an encoder off centre shows it.
+A spring that stiffens has no page. Over a short travel a linear spring describes most of it. Near the unstable
+equilibrium of gravity, a spring of the same strength leaves k (x - sin x), nearly k x^3 / 6. So the two together
+describe it there. So what a model names over position or speed is compared with a curve over it. Friction whose
+bristles bend before they slide depends on the travel since the last reversal. No curve over a state of motion follows
+that. Most of it is dry friction, which is compared with it. Where a motor's gain varies with its angle, the axis
+oscillates about its path, which looks like an eccentric encoder.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def _without_effects(last: Fit, ids: Sequence[str]) -> Fit:
 
 
 def _fit_curve_instead(problem: FitProblem, last: Fit, ids: Sequence[str], variable: str) -> Fit:
-    """The last model with a curve over the variable in the place of these effects: from what it lacks without them, or
-    from what they do, where rattle hides that.
+    """The last model with a curve over the variable in the place of these effects. The curve starts from the torque
+    that is missing without them, or, where rattle hides that, from their own torque.
     """
     sketched = nonparametric.sketch_curve(problem, _without_effects(last, ids), nonparametric.CurveTerm(variable))
     prefix = f"unknown_{variable}"
@@ -140,8 +140,8 @@ def substitute_curve(problem: FitProblem, first: Structure, last: Fit, variable:
 
 
 def overtone_share(curve: Fit) -> float:
-    """What a curve of waves over the angle has beyond a first wave that is the same whichever way the drive pushes, as
-    a share of that, both in the root mean square; infinite for any other curve.
+    """The part of a curve of waves over the angle beyond a first wave that is the same in both drive directions. It is
+    a share of that wave, both in the root mean square, and infinite for any other curve.
     """
     for term in WAVE_DIRECTIONS:
         if term in curve.structure:
@@ -155,8 +155,8 @@ def overtone_share(curve: Fit) -> float:
 
 
 def is_ripple(last: Fit, curve: Fit) -> bool:
-    """Whether a curve of waves over the angle is the torque ripple that the last model names: as many a turn, and
-    hardly more than the first of them. It does more, since no cogging is one sine; but it is nothing else.
+    """Whether a curve of waves over the angle is the torque ripple that the last model names. It has the same waves per
+    turn, and little beyond the first of them. It fits better, since no cogging is one sine, but it is the same effect.
     """
     if "torque_ripple" not in last.structure or overtone_share(curve) >= thresholds.MAX_OVERTONE_SHARE:
         return False
@@ -192,8 +192,8 @@ def substitute_presliding(problem: FitProblem, first: Structure, last: Fit) -> S
 
 
 def substitute_gain_wave(problem: FitProblem, first: Structure, last: Fit) -> Substitution | None:
-    """A motor whose gain goes with the angle in the place of an encoder off centre that the last model names: each by
-    one wave a turn, so that the likelier is the better; None where there is none, or the gain is not likelier.
+    """A motor whose gain varies with the angle, in the place of an eccentric encoder that the last model names. Each is
+    one wave per turn, so the likelier one is taken. None where there is none, or the gain is not likelier.
     """
     ids = tuple(i for i in ("encoder_eccentricity",) if i in last.structure and i not in first)
     if not ids:

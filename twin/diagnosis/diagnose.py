@@ -70,8 +70,8 @@ def _whiteness_p_value(problem: FitProblem, point: Fit) -> float:
 
 
 def _probabilities(found: SearchResult) -> tuple[dict[str, float], tuple[tuple[str, float], ...]]:
-    """Per named effect, or one of the base that a rival could stand for, and a ranking of these, their rivals and, of
-    the first round, what else was tried.
+    """The probability of each named effect, or of one of the base that a rival could replace. And a ranking of these,
+    of their rivals, and of the other candidates of the first round.
 
     An effect shares what is certain with each rival that could stand in its place, and with its absence.
     """
@@ -196,8 +196,8 @@ def _best_curve(
 
 
 def _restart_from_curve(found: SearchResult, nameless: Fit) -> SearchResult:
-    """The search, its last model from where a curve stands that does more in all that both share: gap and teeth were
-    looked for anew beside the curve, and what they are worth is not the curve's. Rivals begin there, too.
+    """The search, its last model refitted from the values beside a better curve, in all that both share. Gap and teeth
+    were searched again beside the curve, and the gain of that is not the curve's. Rivals start there, too.
     """
     last = found.last
     if not model_comparison.is_significant(last, nameless):
@@ -215,16 +215,17 @@ def _restart_from_curve(found: SearchResult, nameless: Fit) -> SearchResult:
 def _curve_replaces_names(
     found: SearchResult, nameless: Fit, left: Sequence[nonparametric.RemainingDependence]
 ) -> bool:
-    """Whether what has no name is what a recording speaks for: it does more than the names, which beside it do nothing.
+    """Whether a nameless curve replaces the names: it improves the fit more than they do, and beside it they gain
+    nothing.
 
-    Where the missing torque of neither model, `left`, goes with anything, it has to foretell what it was not fitted to;
-    where nothing is named and that of the first plainly does, one that foretells need not do more than is its price.
-    Every real friction departs a little from its name, and a curve that may take any shape follows it; but what else
-    the name says, as that friction turns with the motion, the curve does not have. So names keep their place where they
-    grow again beside the curve and each still earns it there. So does dry friction that leaves little, alone or with a
-    constant torque, where the curve is one over the speed: what varies a motor over its turn does as friction that
-    varies would, but is none. A ripple
-    keeps its name from a curve that is the same ripple with its overtones.
+    If the missing torque of neither model, `left`, depends on anything, the curve has to predict data that it was not
+    fitted to. If nothing is named and the missing torque of the first model clearly depends on something, a curve that
+    predicts such data need only pay its own penalty. Every real friction departs a little from its law, and a curve of
+    any shape follows it. But the curve lacks the rest of the law: for example, that this friction changes sign with the
+    motion. So names stay where they are found again beside the curve and each still improves the fit significantly. Dry
+    friction that leaves little also stays, alone or with a constant torque, where the curve is one over the speed: a
+    motor that varies over its turn acts like friction that varies, but is none. A ripple keeps its name from a curve
+    that is the same ripple with its overtones.
     """
     if curve_substitution.is_ripple(found.last, nameless):
         return False
@@ -264,8 +265,8 @@ def _with_curve(found: SearchResult, nameless: Fit) -> SearchResult:
 def _keep_or_replace(found: SearchResult, nameless: Fit) -> SearchResult:
     """What becomes of a model whose names leave most of the missing torque where it was.
 
-    They give way to a curve that predicts better. A curve that has not earned its place, or does less than the names,
-    would only lead a free run astray: then the model stays as it is.
+    They are replaced by a curve that predicts better. A curve that does not improve the fit significantly, or does less
+    than the names, would only lead a free run astray: then the model stays as it is.
     """
     if (
         model_comparison.is_significant(found.first, nameless)
@@ -291,8 +292,8 @@ def _fit_names_beside_curve(found: SearchResult, nameless: Fit) -> Fit:
 
 
 def _fit_with_longest_memory(found: SearchResult) -> tuple[FitProblem, Fit]:
-    """The last model with the longest memory that it bears, and the problem as it is judged by what it foresees: by a
-    filter that forgets no faster, or the slow torques that it was chosen by would be nothing to it.
+    """The last model with the longest filter memory that it supports, and the problem with its predicted contacts as
+    the mask. The memory is not shortened: a shorter one would not see the slow torques that the model was chosen by.
     """
     sharp = local_optima.with_longer_memory(found.problem, found.last)
     return multistart.refit_with_contact_mask(found.problem, sharp, most=sharp.process_noise)
@@ -315,8 +316,8 @@ def _idle_names(problem: FitProblem, sharp: Fit, first: Structure) -> list[str]:
 
 
 def _name_p_values(found: SearchResult, first: Structure) -> dict[str, float]:
-    """By what chance each name beyond the first model would foretell as well were there nothing to it: bounces that
-    happened to fall its way may have earned it its place. Names of which too little is known to tell have none.
+    """The p-value of each name beyond the first model: the chance that it predicts as well without being real. Bounces
+    that happened to fit it may have won it its round. A name with too little data for a decision has none.
     """
     out = {}
     for effect in (i for i in found.last.structure.named if i not in first):
@@ -353,8 +354,8 @@ def _unearned(found: SearchResult, foreseen: tuple[FitProblem, Fit], first: Stru
 def _drop_unearned_names(
     found: SearchResult, first: Structure
 ) -> tuple[SearchResult, tuple[FitProblem, Fit], list[NotBorneOut]]:
-    """The search without the names of its last model that its figures do not bear out, the last model with the longest
-    memory that it bears, and the names that failed.
+    """The search without the names of its last model that fail a test, the last model with the longest memory that it
+    supports, and the names that failed.
     """
     failed: list[NotBorneOut] = []
     while True:

@@ -1,13 +1,14 @@
 """How far noise alone takes a free run from the recording, and how likely an error as large as the one found is.
 
 A free run starts at the recorded state and gets no reading afterwards. A torque that the model lacks, even white noise,
-is integrated twice, so that the error drifts: its samples hang together over the whole run. The mean of its squares is
+is integrated twice. So the error drifts, and its samples are correlated over the whole run. The mean of its squares is
 therefore no chi-square of as many degrees of freedom as there are readings, but a weighted sum of a few:
 
     error = G z,  z ~ N(0, I)      ->      mean square = sum_i lambda_i z_i^2,  lambda_i eigenvalues of G' W G,
 
-with W the share of the readings at each point of a coarse grid. G follows from the linear dynamics of a small error
-e along the run, with stiffness k(t) and damping b(t) from the laws of the model and white torque noise of density q,
+with W the share of the readings at each point of a coarse grid. G follows from the linear dynamics of a small error e
+along the run. Stiffness k(t) and damping b(t) are those of the model's laws, and q is the density of a white torque
+noise:
 
     e'' = -k(t) e - b(t) e' + w(t),    E[w(t) w(s)] = q delta(t - s).
 
@@ -188,8 +189,8 @@ def mean_square(covariance: FloatArray, share: FloatArray, reading: float, readi
 def fitted(covariance: FloatArray, sensitivity: FloatArray, reading: FloatArray) -> FloatArray:
     """The covariance (K, K) of the error of a free run whose parameters were fitted to the same readings.
 
-    The likelihood of a linear model with this noise is that of generalised least squares, whose residuals have the
-    covariance C - S (S' C^-1 S)^-1 S': what the parameters can follow is no error any more.
+    The likelihood of a linear model with this noise is that of generalised least squares. Its residuals have the
+    covariance C - S (S' C^-1 S)^-1 S': what the parameters can follow is no longer an error.
 
     Parameters
     ----------

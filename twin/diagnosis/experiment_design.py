@@ -1,27 +1,27 @@
 """What to record next: the input that best tells rival models apart, or best fixes the worst-known parameter.
 
-A signal is put together from a library of blocks, each of which sets one pair of effects against the other
-(effects.md): slow ramps through zero, coast-downs, plugging, stairs, square waves, kicks, full turns, a chirp, a
-dwell between two equal blocks. What a block is worth is what it adds, per second, to the evidence:
+A signal is put together from a library of blocks, each of which separates one pair of effects (effects.md). They are
+slow ramps through zero, coast-downs, plugging, stairs, square waves, kicks, full turns, a chirp, and a dwell between
+two equal blocks. The value of a block is the evidence that it adds per second:
 
-Two rivals. One is simulated; the other's predictor runs over that simulation with its own noise, and half its
-squared normalised error is the log-likelihood that it loses. What it can regain by moving its parameters, held back
-by what the present recordings say of them, does not count. Blocks are judged by a first-order refit, but the signal
-made of them is refitted to the end before the next block is chosen: a first-order refit alone promised a hundred
-where a full one left nothing, since one gap crossing or one edge is soon explained otherwise. This is the sequence
-of Atkinson and Fedorov (Biometrika 62, 1975) with the divergence of Box and Hill (Technometrics 9, 1967). Rival
-noise levels do not depend on the signal and are left out.
+Two rivals. One is simulated; the other's predictor runs over that simulation with its own noise, and half its squared
+normalised error is the log-likelihood that it loses. What it can regain by moving its parameters, held back by what the
+present recordings say of them, does not count. Blocks are judged by a first-order refit, but the signal made of them is
+refitted to the end before the next block is chosen. A first-order refit alone promised a hundred where a full one left
+nothing: one gap crossing or one edge is easily explained by other parameters. This is the sequence of Atkinson and
+Fedorov (Biometrika 62, 1975) with the divergence of Box and Hill (Technometrics 9, 1967). Rival noise levels do not
+depend on the signal and are left out.
 
-How sharply a reading speaks is not taken from the predictor's own word. Where a light motor rattles in its gap, noise
-and an unknown start grow from bounce to bounce; sensitivities grow with them and promise knowledge that nobody gets:
-such signals were the favourites, and left real rigs' recordings that no fit could follow. So each truth is run a few
-times with noise, from every side of its gap, and what its own predictor then errs is what errors are compared with.
+The standard deviation of an error is not taken from the predictor itself. Where a light motor rattles in its gap, noise
+and an unknown start grow from bounce to bounce. Sensitivities grow with them and promise information that cannot be
+obtained. Such signals ranked first, and no fit could follow the recordings that real rigs made of them. So each truth
+is run a few times with noise, from every side of its gap. Errors are compared with those of its own predictor there.
 
 One model. The information about its parameters that a block adds to the present one (Goodwin and Payne,
 Dynamic System Identification, 1977).
 
-Evidence of blocks adds up nearly, so blocks are chosen greedily by sums; each signal so made is simulated as a whole,
-from rest, and cut as soon as it has told enough.
+Evidence of blocks is nearly additive, so blocks are chosen greedily by sums. Each signal so made is simulated as a
+whole, from rest, and is cut as soon as its evidence suffices.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ FloatArray = NDArray[np.float64]
 Piece = tuple[float, float, float]
 Signal = tuple[Piece, ...]
 
-#: Log-likelihood that is asked of an input, in units of what it is worth: half as much again as a verdict of 99 to 1
-#: takes, since no rig is quite the model that the input is designed on.
+#: Log-likelihood that is asked of an input, in units of what it is worth. It is half as much again as a verdict of 99
+#: to 1 takes, since no rig is quite the model that the input is designed on.
 NEEDED_LOG_LIKELIHOOD = 1.5 * thresholds.TEMPERATURE * math.log(99.0)
 #: Relative standard error at which a parameter counts as known, and the one that a model brings to its first recording.
 _KNOWN_ERROR, _UNKNOWN_ERROR = 0.02, 10.0
@@ -237,8 +237,8 @@ def _there_and_back(signal: Signal) -> Signal:
 def library(lost: float, most: float, pace: float, turn: float) -> dict[str, Signal]:
     """Blocks that start and end at rest.
 
-    `lost` is the input below which nothing moves, `most` the largest; `pace` (s) is how fast the axis settles, `turn`
-    (s) how long it takes for a turn, or for its travel, at half of what is left above `lost`.
+    `lost` is the input below which nothing moves, `most` the largest. `pace` (s) is how fast the axis settles. `turn`
+    (s) is the time for a turn, or for its travel, at half of the input above `lost`.
     """
 
     def level(share: float) -> float:
@@ -266,8 +266,8 @@ def library(lost: float, most: float, pace: float, turn: float) -> dict[str, Sig
     for share in (0.1, 0.35, 0.9):
         wave = _there_and_back((_hold(0.6 * pace, level(share)),))
         blocks[f"square wave {share:g}"] = (*wave * 2, rest)
-    # Little more than what is lost, and briefly, moves the motor in its gap and nothing else: fits to such rattle end
-    # in whichever valley is next, some hundred of deviance apart.
+    # A brief input of little more than `lost` moves the motor in its gap and nothing else. Fits to such rattle end in
+    # any local optimum nearby, some hundred of deviance apart.
     for share in (0.35, 0.9):
         quick = _there_and_back((_hold(max(0.12 * pace, 0.04), level(share)),))
         kick = _there_and_back((_hold(0.06, level(share)), _hold(0.24, 0.0)))
@@ -657,10 +657,10 @@ def design_for_discrimination(
 ) -> Experiment:
     """The input that tells the first of the rivals, the likeliest, from the others.
 
-    Rivals are fitted models in the order of their probability (the first three count), `cases` the recordings that
-    they were fitted to. With one rival, or others that add only what does nothing, `design_for_precision` answers
-    instead. The input starts from rest and is as short as a verdict needs. What it promises holds as far as the physics
-    that the rivals share is right: with rigid teeth on a rig whose teeth give, far more is promised than comes
+    Rivals are fitted models in the order of their probability (the first three count), `cases` the recordings that they
+    were fitted to. With one rival, or others that add only what does nothing, `design_for_precision` answers instead.
+    The input starts from rest and is as short as a verdict needs. Its promise holds as far as the physics that the
+    rivals share is right. With rigid teeth on a rig whose teeth are compliant, it promises far more than comes
     (scripts/experiment_study.py).
 
     Raises BadInput where the limits or the recordings leave no room for any input.
@@ -701,8 +701,8 @@ def design_for_discrimination(
 def _parameter_scales(point: Fit, bench: _RigLimits) -> FloatArray:
     """What an error of each free parameter is compared with.
 
-    Its value; but an angle's radian, a position's travel, and of what may well be zero no less than a fiftieth of the
-    input's range or of the torque that it gives.
+    Its value; for an angle a radian, and for a position the travel. For what may well be zero it is at least a fiftieth
+    of the input's range, or of the torque at that input.
     """
     known = {p.name: p for p in point.structure.parameters}
     span = bench.band[1] - bench.band[0]

@@ -1,5 +1,6 @@
-"""Which effects a first model lacks: added one at a time, pruned, held against what is easily taken for them; and
-looked for once more with a filter that forgets as fast as the recording asks (`refine_with_short_memory`).
+"""Which effects a first model lacks. They are added one at a time, pruned, and compared with those that they are easily
+confused with. Then more are looked for with a filter whose memory is as short as the recording asks
+(`refine_with_short_memory`).
 """
 
 from __future__ import annotations
@@ -45,8 +46,8 @@ class Alternative:
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """How a structure was arrived at: the first model, the last, the rounds between, the last less one effect, and the
-    last with one effect exchanged for a rival that had come close to it, or for one that contains it.
+    """The path to a structure: the first model, the last, and the rounds between. Also the last less one effect, and
+    the last with one effect exchanged for a close rival, or for one that contains it.
     """
 
     first: Fit
@@ -221,8 +222,8 @@ def _search_from(
 
 
 def _narrow_rounds(problem: FitProblem, found: SearchResult, process_noise: float) -> list[Round]:
-    """The first round, won by a rival instead: by each that shows, had earned about as much, or more, in units of its
-    own, and neither contains the winner nor is contained in it.
+    """The first round, won by a rival instead, once for each rival of these. It is confirmed. Its gain, in units of its
+    own, was about as large as the winner's, or larger. It neither contains the winner nor is contained in it.
 
     What leads a model astray may do most for the deviance, since correlated innovations count the same evidence many
     times over. None where the round was not won with the density that the search began with, or was won on credit.
@@ -247,8 +248,8 @@ def _narrow_rounds(problem: FitProblem, found: SearchResult, process_noise: floa
 
 
 def _better_search(problem: FitProblem, one: SearchResult, other: SearchResult) -> SearchResult:
-    """The search whose end the recordings speak for, both judged at one noise density; where both end in the same but
-    for one effect each, with the other's as what could stand in its place.
+    """The search with the better last model, both judged at one noise density. Where both ends are the same but for one
+    effect each, the other's effect is its alternative.
     """
     process_noise = min(one.last.process_noise, other.last.process_noise)
 
@@ -277,8 +278,8 @@ def _best_of_structure(lesser: Sequence[Fit], begun: Fit) -> Fit:
 def _prune_and_exchange(
     problem: FitProblem, grown: Fit, begun: Fit, rounds: Sequence[Round]
 ) -> tuple[Fit, list[Fit], list[Alternative]]:  # fmt: skip
-    """The model that growing from another ended at, without effects whose lack does not matter and with a rival in the
-    place of one if that now fits better; smaller models that it is held against; what could stand in an effect's place.
+    """The grown model, pruned and with one effect exchanged for a rival where that now fits better. Also the smaller
+    models that it is compared with, and the alternatives to its effects.
     """
     best, lesser = _prune(problem, grown, begun)
     swaps = _alternatives(problem, best, begun.structure, lesser, rounds)
@@ -299,11 +300,11 @@ class RoundMargin:
 
 
 def round_margin(rounds: Sequence[Round], last: Structure, effect: str) -> RoundMargin:
-    """The last round that was won and that an effect of the last model was in, at whatever place: what had lost to a
-    rival may have taken its place since.
+    """The last round that was won with an effect of the last model among its rivals, at whatever rank: an effect that
+    lost to a rival may have replaced it since.
 
-    A rival that contains the effect and more does not deny it; one that is in the last model, too, took nothing away;
-    and what did not show has no share.
+    Some rivals are left out. One that contains the effect does not contradict it, and one that is also in the last
+    model took nothing from it. One that was not confirmed has no share.
     """
     for this in reversed(rounds):
         own = {
@@ -391,10 +392,10 @@ def _containing_alternatives(
 ) -> list[Alternative]:
     """The last model with what contains one of its effects, and is as large, where that fits about as well.
 
-    Dry friction that differs between the directions is dry friction and a dead-band that is wider on one side, unless
-    something moves that is not driven: the simpler one is named, but little speaks for it. Where the wider one did
-    more in one of the rounds, it is tried at any size: a filter that remembers for longer may have seen what the last
-    one does not.
+    Dry friction that differs between the directions equals dry friction and a dead-band that is wider on one side,
+    unless something moves without the drive. The simpler one is named, but the evidence for it is weak. Where the wider
+    effect gained more in one of the rounds, it is tried at any size. A filter with a longer memory may have seen what
+    the last one does not.
     """
     out = []
     for effect, other in itertools.product(last.structure.named, candidates):
@@ -428,8 +429,8 @@ def _prefer_containing(
     swaps: Sequence[Alternative],
     wider: Sequence[Alternative],
 ) -> tuple[Fit, list[Alternative]]:
-    """The last model, or the likeliest that contains one of its effects if that is worth its parameters; and what
-    could as well stand in the place of what is named then.
+    """The last model, or the likeliest one with a wider effect that is worth its parameters. And the alternatives to
+    the effects that are named then.
     """
     likeliest = max(wider, key=lambda w: model_comparison.criterion_difference(w.point, last), default=None)
     if likeliest is not None:
@@ -450,8 +451,8 @@ def are_dead_bands_unequal(fit: Fit) -> bool:
 
 
 def _offset_for_dead_bands(problem: FitProblem, last: Fit, candidates: Sequence[str]) -> list[Alternative]:
-    """The last model with dead-bands that are equal and a constant torque in the place of what they differ by, where
-    that fits about as well: as long as the drive pushes, the torque only shifts both.
+    """The last model with equal dead-bands and a constant torque in the place of their difference, where that fits
+    about as well. As long as the drive pushes, the torque only shifts both.
     """
     offered = "constant_offset" in candidates and "constant_offset" not in last.structure
     if not offered or not set(DEAD_BANDS) <= set(last.free):
@@ -610,14 +611,13 @@ def _refit_alternatives(
 
 
 def refine_with_short_memory(found: SearchResult, candidates: Sequence[str]) -> SearchResult:
-    """The search, with what shows beside its last model to a filter that remembers for no longer than the recording
-    asks for, where meetings of motor and link are judged only if the model foresees them; as it was where nothing does.
-
-    Where a motor rattles the errors of a tenth of a second hang together, and a unit of deviance is worth a fiftieth of
-    what it is to such a filter: it sees a faint effect beside those that were found. But it forgets slow torques, and
-    how friction gives at rest weighs for it as much as what moves the axis: so it takes nothing back and decides
-    nothing about what had been found. And since it sees how the axis departs from every law, what it shows alone has
-    to earn as much more as what only a longer memory shows.
+    """The search, with the effects that a filter with a shorter memory shows beside its last model. The memory is no
+    longer than the recording asks for, and contacts are judged only if the model predicts them. Where nothing shows,
+    the search is as it was. Where a motor rattles, errors over a tenth of a second are correlated. A unit of deviance
+    is then worth a fiftieth of what it is to a filter with a shorter memory, which sees a faint effect beside those
+    that were found. But such a filter does not see slow torques, and it weighs presliding at rest as much as what moves
+    the axis. So it removes nothing, and leaves what had been found as it is. It also sees how the axis departs from
+    every law. So what it alone shows has to gain as much more as what only a longer memory shows.
     """
     problem, known = _fit_at_best_noise(found.problem, found.last)
     if known.process_noise < local_optima.PROCESS_NOISE_TOLERANCE * found.last.process_noise and all(

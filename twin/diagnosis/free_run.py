@@ -21,8 +21,8 @@ from twin.model.stepper import STATES, Structure
 
 FloatArray = NDArray[np.float64]
 
-#: The start of a free run is read off so many memories of the filter, off so many readings at least and averages at
-#: most, in so many looks.
+#: The start of a free run is estimated from this many memories of the filter, from at least this many readings, with at
+#: most this many averages and in this many passes.
 _MEMORIES, _FEWEST_READ, _MOST_READ, _LOOKS = 6.0, 10, 100, 2
 #: Share of a variable's range by which it is moved to see how a torque goes with it.
 _MOVED = 1e-4
@@ -108,8 +108,8 @@ def _means(found: FloatArray, grid: Grid) -> FloatArray:
 
 
 def _unknown_gap(point: Fit, states: FloatArray) -> FloatArray:
-    """Standard deviation (N,) by which the link is ahead or behind because nobody saw where in its gap the motor began:
-    anywhere, with the same chance; it shows once the link has moved.
+    """Standard deviation (N,) of the link's position from the motor's unknown place in its gap at the start. All places
+    are equally likely. It shows once the link has moved.
     """
     gap = point.values.get("backlash_gap", 0.0)
     moved = np.abs(states[:, _STATE["position"]] - states[0, _STATE["position"]]) > 0.5 * gap
@@ -129,8 +129,8 @@ class Started:
 def started(case: PreparedRecording, point: Fit, points: int) -> Started:
     """Run the model freely from the start that makes the first readings likeliest under its own torque noise.
 
-    A velocity read off the first few counts is wrong by half a count over their time, which a free run keeps for ever
-    as an error of that speed times the time constant. The model knows how the axis goes on.
+    A velocity read off the first few counts is wrong by half a count over their time. A free run keeps this as an error
+    of that speed times the time constant. The model knows how the axis goes on.
     """
     first = start_state(case.recording)
     case = replace(case, start=(first.position, first.velocity))

@@ -1,8 +1,8 @@
 """Which values the first and the last model are judged and handed out with.
 
-The likeliest values of a model that lacks physics make a poor free run: gap and motor's share make up within
-milliseconds for what is missing, and an improvement over that would be overstated. So the first model is shown at its
-best free run through the fitted data, and the last one too where its likeliest values run worse than that.
+The likeliest values of a model that lacks physics make a poor free run: gap and motor's share make up for what is
+missing within milliseconds. An improvement over that run would be overstated. So the first model is shown at its best
+free run through the fitted data, and the last one too where its likeliest values run worse than that.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """What no fit and no choice may see: which part of the recordings that is, and what it says about a model.
 
-Of a lone recording it is the last part. What acts in that alone, a stop that is met late or a load that changes late,
-nothing before can teach; where the held-out part shows that, the middle is held out instead, and all begins anew.
+Of a lone recording it is the last part. What acts in that part alone cannot be learned from the data before it: an end
+stop that is reached late, or a load that changes late. Where the held-out part shows that, the middle is held out
+instead, and the whole search is repeated.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ from twin.model.fitted_model import Model
 def _free_run(fmu: Path, part: RecordingPart, lead: float, closed: bool) -> np.ndarray:
     """What the FMU says the sensor reads in the part, started there from the recorded state.
 
-    It starts `lead` seconds ahead, in what was fitted, so that lag, gap and delay line are filled and an error of the
-    first speed has died down when it counts. The run is then moved to the recorded position where the part begins,
+    It starts `lead` seconds earlier, in the fitted data. So lag, gap and delay line are filled, and an error of the
+    first speed has decayed when the part begins. The run is then moved to the recorded position where the part begins,
     because only what happens afterwards is judged.
     """
     recording = part.recording
@@ -60,8 +61,9 @@ def simulate_recording(model: Model, recording: Recording, closed: bool = False)
 def traces(
     before: Model, after: Model, parts: Sequence[tuple[str, RecordingPart]], closed: bool = False
 ) -> list[Trace]:
-    """Both models beside each part, whose role comes first, free-running from the recorded input or, `closed`, under
-    the rig's own loop: what is held out through their FMUs, what was fitted by the kernel, which they equal.
+    """Both models beside each part, whose role comes first. They run freely from the recorded input or, with `closed`,
+    under the rig's own loop. Held-out parts run through the models' FMUs. Fitted parts run through the kernel, which
+    gives the same result.
     """
     clocked = any(timed(m.structure) for m in (before, after))
     # Physics that depends on the time since the start must run from the start.

@@ -18,10 +18,10 @@ FloatArray = NDArray[np.float64]
 def overdispersion(points: Sequence[Fit]) -> float:
     """What a unit of deviance is worth among rivals: to the likeliest whose slopes say something.
 
-    Where innovations stay correlated each says again what the one before it said, and deviance counts them all. A
-    difference of deviance over this unit is then what it would be for independent ones (composite likelihood; Varin
-    and Vidoni, Biometrika 92, 2005). What is missing from a model correlates its innovations, too, and must not speak
-    against itself: the likeliest shows best what noise alone does; by the parameters that all have, since a curve's
+    Correlated innovations repeat each other, and deviance counts them all. A difference of deviance over this unit is
+    then what it would be for independent ones (composite likelihood; Varin and Vidoni, Biometrika 92, 2005). Physics
+    that a model lacks correlates its innovations, too, and must not count against finding it. So the unit is that of
+    the likeliest model, which shows best what noise alone does. Only parameters that all models share count: a curve's
     twelve knots, each of which is seen for a while only, would outvote the rest.
     """
     shared = set(points[0].free).intersection(*(p.free for p in points))
@@ -55,8 +55,8 @@ def criterion_difference_penalised(rival: Fit, last: Fit) -> float:
 def gain(before: Fit, after: Fit, doubt: float = 0.0) -> float:
     """By how many units an addition makes the criterion better, were its deviance larger by `doubt`.
 
-    A unit is worth no more than it is to the size of what was added, by whichever is known best: the slope of a slow
-    effect is led by slow errors, which most other parameters hardly feel.
+    A unit is worth no more than it is for the size of what was added, by the best-known of these sizes. Slow errors
+    drive the slope of a slow effect, and most other parameters hardly feel them.
     """
     added = [e.screen.gain for e in after.structure.effects if e.screen and e not in before.structure.effects]
     sizes = [after.overdispersion_by([gain]) for gain in added if gain in after.free]
@@ -65,7 +65,7 @@ def gain(before: Fit, after: Fit, doubt: float = 0.0) -> float:
 
 
 def is_significant(before: Fit, after: Fit, doubt: float = 0.0) -> bool:
-    """Whether an addition earns its place, even were its deviance larger by `doubt`."""
+    """Whether an addition improves the fit significantly, even were its deviance larger by `doubt`."""
     return gain(before, after, doubt) > thresholds.MIN_GAIN
 
 

@@ -1,10 +1,10 @@
 """Is there still structure in the missing torque, and a shape for it where no known effect describes it.
 
-What is missing may depend on any state of motion, alone or with another. For each the missing torque is predicted
-from its means over bins of that state, always on stretches that these means have not seen. What noise would do,
-correlated over the filter's memory and louder in some states than in others, is seen by giving whole stretches a
-random sign (the wild bootstrap of Liu, Ann. Stat. 16, 1988): that leaves the noise as it is and no dependence. The
-best of all tables has to beat the best of all tables under such signs.
+What is missing may depend on any state of motion, alone or with another. For each the missing torque is predicted from
+its means over bins of that state, always on stretches that these means have not seen. The noise is correlated over the
+filter's memory and louder in some states than in others. Its effect is seen when whole stretches get a random sign (the
+wild bootstrap of Liu, Ann. Stat. 16, 1988): the noise stays as it is, and no dependence remains. The best of all tables
+has to beat the best of all tables under such signs.
 """
 
 from __future__ import annotations
@@ -283,14 +283,14 @@ class CurveTerm:
 
 #: What a term over a variable makes superfluous: it holds any straight line itself.
 _REPLACED_PARAMETER = {"velocity": "viscous_friction", "drag": "viscous_friction", "input": "input_gain"}
-#: Kinds of term; each is the effect unknown_<kind>. A drag is viscous friction over time, a gain the motor's over its
-#: angle, a push a torque over the angle that differs with the command's sign, a bend friction that gives by degrees, a
-#: swing that of something which rides on the link, an inertia the link's over its angle.
+#: Kinds of term; each is the effect unknown_<kind>. A drag is viscous friction over time. A gain is the motor's gain
+#: over its angle. A push is a torque over the angle that differs with the command's sign. A bend is friction with
+#: presliding. A swing is a body that rides on the link. An inertia is the link's over its angle.
 TERM_KINDS = ("position", "angle", "velocity", "input", "time", "drag", "gain", "push", "bend", "swing", "inertia")
 #: Those of waves over the angle.
 _WAVE_KINDS = ("angle", "gain", "push", "inertia")
-#: Those with a state of their own, and from where they are looked for: ways by which friction may give, rad, and
-#: springs (1/s^2) and dampers (1/s) by which something may ride along.
+#: Kinds with a state of their own, and their start values: presliding displacements, rad, and the spring (1/s^2) and
+#: damper (1/s) of a body that rides along.
 _MEMORY_STARTS: Mapping[str, tuple[dict[str, float], ...]] = {
     "bend": tuple({"unknown_bend_give": way} for way in (0.003, 0.01, 0.03, 0.1)),
     "swing": tuple(
@@ -338,8 +338,8 @@ def _smooth_heights(columns: FloatArray, torque: FloatArray, weight: float = 3.0
 
 
 def wave_parameters(effect: str) -> tuple[str, ...]:
-    """Names of the parts of the waves that a term is made of, its own or of what it brings with it: a sine and a cosine
-    for each, in order, all those of one direction before the other's.
+    """Names of the wave coefficients of a term, its own or of an effect that it includes. Each wave has a sine and a
+    cosine, in order, and all those of one direction come before the other's.
     """
     return tuple(p.name for page in pages(effect) for p in page.parameters if p.estimated)
 

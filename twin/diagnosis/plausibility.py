@@ -65,9 +65,9 @@ def _joint(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> b
 
 
 def _stribeck(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
-    """Friction that falls with speed falls within some speed, and one that readings can tell from rest; and the axis,
-    were it pushed by as much as it is held, moves by a count before it has fallen: every dry contact gives by as much,
-    and what its bristles do to a reversal looks like friction that is many times as large at rest.
+    """Friction that falls with speed has two conditions. Readings can tell the speed within which it falls from rest.
+    And an axis that is pushed by its static friction moves by a count before friction has fallen. Every dry contact
+    gives by as much, and its presliding at a reversal looks like friction that is many times as large at rest.
     """
     least, _ = parameter_bounds.bounds_of("stribeck_velocity")
     speed, held = values["stribeck_velocity"], values["coulomb_friction"] + values["stribeck_friction"]
@@ -171,8 +171,9 @@ def _implausible_effects(problem: FitProblem, point: Fit) -> set[str]:
 
 
 def is_plausible(problem: FitProblem, point: Fit, before: Fit | None = None) -> bool:
-    """Whether every effect of the fit still is what its name says, or was not so in the model before it either: what a
-    first model is told to contain, as a delay that there is none of, speaks against nothing that is added.
+    """Whether every effect of the fit still is what its name says, or was not so in the model before it either. A first
+    model may contain an implausible effect because it was told to, such as a delay that does not exist. That is no
+    argument against an addition.
     """
     bent = _implausible_effects(problem, point)
     return not bent or (before is not None and bent <= _implausible_effects(problem, before))
@@ -181,8 +182,8 @@ def is_plausible(problem: FitProblem, point: Fit, before: Fit | None = None) -> 
 def _state_share(case: PreparedRecording, values: Mapping[str, float]) -> float:
     """The share of a periodic disturbance's wave that position and direction of motion predict along a recording.
 
-    Where the motion itself is periodic, a disturbance with its period cannot be told from a torque that depends on
-    the state, and that is the likelier of the two.
+    Where the motion itself is periodic, a disturbance with its period cannot be told from a torque that depends on the
+    state. That torque is the likelier of the two.
     """
     if case.drive.speed:
         return 0.0

@@ -1,8 +1,8 @@
 """Where simulation and recording differ: the missing torque, in time, in the state and in the machine.
 
-The position error is the double integral of what is missing, so it shows the misfit late, smeared and everywhere
-after. The torque itself is what a filter with a short memory has to add to the model at each stamp to stay on
-the recording: the velocity correction per time, shifted back by the filter's delay.
+The position error is the double integral of what is missing, so it shows the misfit late, smeared and everywhere after.
+The missing torque is what a filter with a short memory has to add to the model at each stamp to follow the recording.
+It is the velocity correction per time, shifted back by the filter's delay.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""Where each candidate would like to start, and what it promises: the score test beside a fitted point.
+"""Start values of each candidate, and the gain that it promises: the score test beside a fitted point.
 
-At the value at which an effect does nothing, the exact sensitivities of the whole model to its parameters say in one
-step how large it would like to be and how much of the deviance it would take away, all other parameters following.
-Parameters that do nothing there themselves (a rate, a moment, a place) are tried from a grid, phases solved for.
+The test is made at the value at which an effect does nothing. The exact sensitivities of the whole model to its
+parameters give in one step its likely size. They also give the deviance that it would remove, with all other parameters
+refitted. Parameters that do nothing there themselves (a rate, a time, a place) are tried from a grid, and phases are
+solved for.
 """
 
 from __future__ import annotations
@@ -33,11 +34,11 @@ from twin.parallel import each
 FloatArray = NDArray[np.float64]
 
 _TURN = 2.0 * math.pi
-#: Rows of a local law that are tried: those that the missing torque follows best, and what share of the best one's
-#: correlation two of them may have with each other.
+#: Number of rows of a local law that are tried: those that the missing torque follows best. Largest correlation of two
+#: of them, as a share of the best one's.
 _MAX_PLACES, _MAX_OVERLAP = 4, 0.8
-#: So many of the strongest lines of the missing torque are tried, further apart than this share of their rate, and
-#: looked for at so many rates in the width of one.
+#: Number of the strongest lines of the missing torque that are tried, their least spacing as a share of their rate, and
+#: the rates that are tried in the width of one line.
 _MAX_LINES, _MIN_LINE_SPACING, _RATES_PER_LINE = 3, 0.15, 4.0
 
 
@@ -49,8 +50,8 @@ def _without_impacts(torque: FloatArray) -> FloatArray:
 def _spectral_lines(
     phase: FloatArray, torques: Sequence[FloatArray], circle: float, lowest: float, highest: float
 ) -> list[float]:  # fmt: skip
-    """The rates (per unit of phase) between two at which torques (N,), each NaN where it is unknown, are most periodic
-    together, whatever the phase of each; the strongest first.
+    """The rates (per unit of phase) between two limits at which torques (N,) are most periodic together, whatever the
+    phase of each. Unknown torques are NaN. The strongest rate comes first.
 
     All rates are looked at that close after `circle`: as many in a line's width as it has ranges of the phase. The
     phase is rounded to an eighth of the shortest period.
@@ -79,8 +80,8 @@ def _spectral_lines(
 def _heating_command(missing: MissingTorque, values: Mapping[str, float], span: float) -> float:
     """The command that would heat a held motor as much as the recording does in the mean.
 
-    A motor that turns draws far less than it would if it were held: in units of what the largest command does to a held
-    one, a fade of a sixth would be larger than any fade may be.
+    A motor that turns draws far less current than one that is held. In units of the largest command on a held motor, a
+    fade of a sixth would be larger than any fade may be.
     """
     share, gain = neutral_values("thermal_fade")["fade_emf"], max(values["input_gain"], 1e-9)
     current = missing.command - share * values.get("viscous_friction", 0.0) / gain * missing.velocity
@@ -144,8 +145,8 @@ def _page_trials(case: PreparedRecording, missing: MissingTorque, effect: str) -
 
 
 def _joint_frequencies(step: float, end: float) -> list[float]:
-    """Frequencies, Hz, from the lowest that a recording holds three periods of to a tenth of the sample rate: each is
-    1.4 times the one before it, for ringing is found from no further off.
+    """Frequencies, Hz, from three periods in a recording to a tenth of the sample rate. Each is 1.4 times the one
+    before it, since a fit finds ringing from no further off.
     """
     lowest, highest = parameter_bounds.bounds_of("joint_frequency")
     lowest, highest = max(1.05 * lowest, 3.0 / end), min(0.75 * highest, 0.1 / step)
@@ -229,8 +230,8 @@ def with_gap_sides(
 ) -> list[dict[str, float]]:  # fmt: skip
     """The rows, each with the effect on the link and on the motor where that is open.
 
-    Which side of the gap a torque acts on decides how it is crossed: from the wrong one, or from half of it on each, no
-    slope leads to the other.
+    The side of the gap on which a torque acts decides how the gap is crossed. No slope leads from the wrong side, or
+    from half of it on each, to the right one.
     """
     slot = EFFECTS[effect].slot
     shares = [p.name for p in structure.with_(effect).parameters if p.acts_on == slot and p.name not in values]
@@ -244,9 +245,9 @@ WITHOUT_SCORE_TEST = ("drive_saturation", "motor_lag", "input_delay", "end_stop"
 
 #: Candidates that repeat with a full turn: a linear axis has none.
 _NEEDS_TURN = ("gravity", "position_dependent_friction", "encoder_eccentricity")
-#: Travel from which on a wave of one turn is told from other physics, rad. An encoder off centre is so only by a wave
-#: that is seen to bend; friction turns with the motion, as nothing else that goes with the angle does, and gravity is
-#: known by its angle of rest.
+#: Travel from which on a wave of one turn is told from other physics, rad. An eccentric encoder needs a wave whose
+#: curvature is visible. Friction changes sign with the motion, as nothing else does that depends on the angle. Gravity
+#: is known by its angle of rest.
 _MIN_TRAVEL = {"encoder_eccentricity": 0.5 * math.pi, "position_dependent_friction": 0.5}
 #: Candidates that happen at a moment of their own: not at the same one of several recordings.
 _MOMENTARY = ("load_change", "periodic_disturbance", "disturbance_pulse")
@@ -348,8 +349,8 @@ def _trial(base: Fit, effect: str, trial: Mapping[str, float]) -> _Trial:
 
 
 def _group_trials(base: Fit, rows: Sequence[_Trial]) -> list[list[_Trial]]:
-    """The rows in groups that one run serves: what does nothing is in no other's way, if both want the same values and
-    there are lanes for the slopes of all. What has a phase does not quite nothing, and keeps to its like.
+    """The rows in groups that share one run. Rows that do nothing do not disturb each other, if they want the same
+    values and there are lanes for the slopes of all. A row with a phase does a little, and is grouped with its like.
     """
     groups: list[list[_Trial]] = []
     for row in rows:
@@ -410,13 +411,13 @@ def _direct_start(
     trials: Sequence[Mapping[str, float]],
     free: tuple[str, ...],
 ) -> tuple[float, dict[str, float]]:
-    """What a candidate that is tried as it is promises at best, the rest of the model's regain too, and where; that is
-    looked for in what is `seen` of the recordings.
+    """The largest gain of a candidate that is tried at its own values, with the gain of refitting the rest of the
+    model, and the values. It is looked for in the part `seen` of the recordings.
     """
     structure = structure_with(base.structure, effect)
     places = [values_with(base, structure, effect, clipped_to_bounds(t)) for t in trials]
-    # A valley may be narrow, and its walls are what a place beside it shows: the likeliest walk a little before they
-    # are judged, and the likeliest of every choice that no walk changes.
+    # A local optimum may be narrow, and a place beside it shows only its slopes. So the likeliest places are refined by
+    # a few steps before they are judged, and so is the likeliest one of every choice that no step changes.
     places.sort(key=lambda v: likelihood.evaluate(seen.at(base.process_noise), structure, v).deviance)
     first: dict[tuple[float, ...], dict[str, float]] = {}
     for place in places:

@@ -5,10 +5,10 @@ filter's memory, and differences of deviance are divided by their overdispersion
 light motor that rattles in its gap bounces in ways that no model predicts, and a long memory rewards whatever moves the
 bounces. So an effect must show to shorter memories, too (`is_confirmed`).
 
-Candidates start from two places: beside the fitted model, where the score test sees the smallest effect (`screening`),
-and where they follow the missing torque (`torque_regression`), which works also where the model is misled. The best few
-are fitted with everything else. The smaller model is refitted from their optimum before they are compared, so that a
-badly converged model makes no discovery.
+Candidates start from two places. One is beside the fitted model, where the score test sees the smallest effect
+(`screening`). The other follows the missing torque (`torque_regression`), which works also where the model is misled.
+The best few are fitted with everything else. The smaller model is refitted from their optimum before they are compared,
+so that a badly converged model makes no discovery.
 
 A lost round is repeated for slow torques with a longer memory (`retry_with_long_memory`).
 """
@@ -82,9 +82,9 @@ def screen_candidates(problem: FitProblem, base: Fit, candidates: Sequence[str])
 class Round:
     """One addition: the model before, the rivals (the best first), and what a unit of deviance is worth among them.
 
-    `won` says whether the first of the rivals has earned its place, or does so as soon as the next is beside it;
-    `refused` are those that looked better and had not. Where every candidate was bent into something else there are
-    no rivals.
+    `won` says whether the first of the rivals improves the fit significantly, or does so once the next is beside it.
+    `refused` are those that looked better and did not. Where every candidate was fitted to something else there are no
+    rivals.
     """
 
     before: Fit
@@ -103,15 +103,16 @@ def _is_preferred(smaller: Fit, larger: Fit) -> bool:
 
 
 def is_confirmed(problem: FitProblem, before: Fit, after: Fit) -> bool:
-    """Whether the gain rises above the roughness of the likelihood, and the larger model is preferred, too, where only
-    meetings of motor and link that it foresees are judged, and by filters that forget faster, both adapted to them,
-    down to the first to which innovations are white and the effect does what it must if it is there.
+    """Whether the larger model passes three tests. Its gain exceeds the roughness of the likelihood. It is preferred
+    where only contacts that it predicts are judged. It is preferred by filters with shorter memories, down to the first
+    one with white innovations at which the effect has the gain it must have. Both models are refitted in the last two
+    tests.
 
-    A light motor that rattles in its gap bounces as no model foresees, and a filter that trusts the model longer than
-    a bounce rewards whatever moves the bounces to where they happened to be. A shorter memory asks for the same
-    physics and is not led astray so far; but it forgets a weak and slow torque: half as long, it knows a sixteenth of
-    it. So none is asked that is shorter than it need be, and none for more than such a torque could do there: where
-    that is too little to be preferred, what chance makes of it says nothing against a filter that was sure.
+    A light motor that rattles in its gap bounces as no model predicts. A filter with a memory longer than a bounce
+    rewards whatever moves the predicted bounces to the real ones. A shorter memory needs the same physics and is misled
+    less. But it loses a weak and slow torque: half as long, it sees a sixteenth of it. So no memory is shorter than it
+    needs to be, and the gain asked there is that of such a torque. Where that is too small to be preferred, a loss by
+    chance says nothing against a filter that was sure.
     """
     if not model_comparison.is_significant(
         before, after, max(each(partial(maximum_likelihood.roughness, problem), (before, after)))
@@ -125,7 +126,7 @@ def is_confirmed(problem: FitProblem, before: Fit, after: Fit) -> bool:
 
 
 def _confirmed_at_foreseeable_contacts(problem: FitProblem, before: Fit, after: Fit) -> bool:
-    """Whether the larger model is preferred where only meetings of motor and link that it foresees are judged."""
+    """Whether the larger model is preferred where only contacts that it predicts are judged."""
     foreseen = contact_masking.with_contact_mask(problem, after)
     if all(c.contact_mask is None for c in foreseen.recordings):
         return True
@@ -133,7 +134,7 @@ def _confirmed_at_foreseeable_contacts(problem: FitProblem, before: Fit, after: 
 
 
 def _confirmed_by_short_memories(problem: FitProblem, before: Fit, after: Fit) -> bool:
-    """Whether the larger model is preferred by filters that forget faster, as far as they can know."""
+    """Whether the larger model is preferred by filters with shorter memories, as far as they can see the effect."""
     memory = filter_memory.memory_of(problem.recordings[0], before.process_noise)
     smaller, larger, least = before, after, 0.0
     for shorter in (memory / times for times in thresholds.MEMORY_DIVISORS):
@@ -151,9 +152,9 @@ def _confirmed_by_short_memories(problem: FitProblem, before: Fit, after: Fit) -
 
 
 def _refit_both(problem: FitProblem, before: Fit, after: Fit, process_noise: float) -> tuple[Fit, Fit]:
-    """Both models at another noise density, each from its own place and the other's: valleys are others there, and the
-    one that the larger model happens to be in says nothing about its effect. Where the smaller one can be the larger
-    can be, too, with what it adds as it was or as nothing.
+    """Both models at another noise density, each started from its own values and from the other's. The local optima
+    differ there, and which of them the larger model is in says nothing about its effect. The larger one is also started
+    from the smaller one's values, with its addition as it was and as nothing.
     """
     added = (i for i in after.structure.ids if i not in before.structure)
     nothing = {n: v for i in added for n, v in screening.neutral_values(i).items()}
@@ -208,8 +209,8 @@ def _fit_followers(
 def _fit_beside_free_motion(
     problem: FitProblem, base: Fit, candidates: Sequence[str]
 ) -> list[Hypothesis]:  # fmt: skip
-    """The candidates that promise most beside the base as it is where the axis moves freely, if that is far from it;
-    gap, shares and teeth are looked for anew.
+    """The candidates that promise most beside the base fitted to free motion of the axis, if that is far from the base.
+    Gap, shares and teeth are searched again.
     """
     free = torque_regression.fit_to_free_motion(problem, base)
     if free is None:
@@ -254,8 +255,8 @@ def _fit_from_other(
 def _fit_on_other_gap_side(
     problem: FitProblem, before: Fit, h: Hypothesis
 ) -> list[Hypothesis]:  # fmt: skip
-    """What was added, on the other side of the gap or, for a lag, of the dead-band, from where it stands: a few steps
-    chose the side, and no slope leads to the other.
+    """The addition refitted on the other side of the gap or, for a lag, of the dead-band. A few steps chose the side,
+    and no slope leads to the other.
     """
     own = h.point
     shares = [p.name for p in own.structure.parameters if p.acts_on and p.name not in before.values]
@@ -273,8 +274,8 @@ def _better_plausible(problem: FitProblem, point: Fit, others: Sequence[Fit]) ->
 def _test_against_smaller(
     problem: FitProblem, before: Fit, h: Hypothesis
 ) -> tuple[Fit, bool]:  # fmt: skip
-    """The smaller model, or a better one from where the larger stands: what that found may have been another valley.
-    And whether the larger one earns its place beside it, and shows.
+    """The smaller model, or a better optimum of it from the values of the larger one. And whether the larger one
+    improves the fit significantly beside it, and is confirmed.
     """
     if not model_comparison.is_significant(before, h.point):
         return before, False
@@ -331,14 +332,14 @@ def run_round(
         near_it = [h.added for h in best.values() if h.deviance < far()]
         masks = [e for e in candidates if (e,) not in near_it and _is_confusable(e, leaders[0])]
         keep(each(lambda e: _fit_in_place_of_winner(problem, leaders[0], structure, e), masks))
-    # Those that are not far behind the best may only have ended in a lesser valley.
+    # Those that are not far behind the best may only have ended in a worse local optimum.
     bar = far()
     close = [h for h in leading(thresholds.MAX_FITTED) if h.deviance < bar]
     ways = [partial(_refit_deeper, problem, h) for h in close]
     ways += [partial(_fit_on_other_gap_side, problem, before, h) for h in close]
     keep([h for found in each(call, ways) for h in found])
     if unit >= thresholds.WHITE_OVERDISPERSION:
-        # Where the likelihood is rough the one that ended in a better valley would win, whatever its effect.
+        # Where the likelihood is rough, the one in the best local optimum would win, whatever its effect.
         rough = [h for h in leading(1) if h.deviance < bar]
         keep([Hypothesis(h.added, local_optima.restart_gap(problem, h.point)) for h in rough])
         pairs = itertools.permutations([h for h in leading(thresholds.MAX_EXCHANGED) if h.deviance < bar], 2)
@@ -348,9 +349,9 @@ def run_round(
 
 
 def _won_with_second(problem: FitProblem, this: Round, candidates: Sequence[str]) -> Round:
-    """A lost round, won by a rival that earns its place as soon as there is another one beside it, if that is so: of
-    two effects each may hide the other, so that neither by itself comes near. If the next round does not bear it out
-    it is dropped again.
+    """A lost round, won by a rival that improves the fit significantly once another one is beside it, if there is one.
+    Two effects may hide each other, so that neither comes near by itself. If the next round does not confirm it, it is
+    dropped again.
     """
     for h in this.rivals[: thresholds.MAX_HIDDEN]:
         if this.before.deviance - h.deviance < thresholds.MIN_GAIN * this.overdispersion:
@@ -369,11 +370,11 @@ def _won_with_second(problem: FitProblem, this: Round, candidates: Sequence[str]
 
 
 def retry_with_long_memory(problem: FitProblem, this: Round, candidates: Sequence[str]) -> Round:
-    """A lost round once more, for slow torques, with a filter that remembers for longer than the model is right: what
-    they do in a tenth of a second drowns in what the model has wrong there, and grows with the square of the time.
+    """A lost round once more, for slow torques, with a filter whose memory is longer than the model is right. Over a
+    tenth of a second, their effect is hidden by the model's other errors. It grows with the square of the time.
 
-    The round as it is where the filter remembers for as long as the recording asks for, and where nothing does so much
-    more that the errors of a long memory cannot have done it.
+    The round stays as it is where the filter's memory already is as long as the recording asks for. It also stays where
+    no gain is larger than the errors of a long memory can make.
     """
     before, longer = this.before, filter_memory.process_noise_of(problem.recordings[0], thresholds.LONG_MEMORY)
     slow = [c for c in candidates if c in SLOW_EFFECTS]
@@ -410,8 +411,8 @@ def _best_per_effect(
 
 
 def _restart_for_gain(problem: FitProblem, before: Fit, point: Fit) -> Fit:
-    """The point, or where it earns more with gap, shares and teeth as the smaller model has them or looked for anew:
-    a motor as light as may be rattles on and on, and of what it likes nobody can be sure.
+    """The point, or one with more gain. Gap, shares and teeth are taken from the smaller model or searched again. The
+    lightest possible motor rattles without end, and its best values are never certain.
     """
     own = {n: v for n, v in before.values.items() if n in multistart.MULTIMODAL}
     places = (
@@ -424,7 +425,7 @@ def _restart_for_gain(problem: FitProblem, before: Fit, point: Fit) -> Fit:
 def _decide_round(
     problem: FitProblem, before: Fit, found: Sequence[Hypothesis]
 ) -> Round:  # fmt: skip
-    """The round of these rivals, and its winner: the best that earns its place and shows."""
+    """The round of these rivals, and its winner: the best that improves the fit significantly and is confirmed."""
     # What is bent into something else, as a spring into a constant, is no rival to anything.
     sound = sorted((h for h in found if is_plausible(problem, h.point, before)), key=lambda h: h.deviance)
     unit = model_comparison.overdispersion([before, *(h.point for h in sound[:1])])

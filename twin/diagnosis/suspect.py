@@ -11,8 +11,8 @@ from twin.diagnosis.adequacy import Adequacy
 def sentences(figures: Adequacy, unit: str) -> list[str]:
     """A sentence on the fitted recording that carries most of the misfit of the last model, or none.
 
-    It does where the free runs through it err by what the model's own noise does not make, those through all others do
-    not, and its mean square is more than all of theirs together.
+    Three conditions hold for it. Its free runs err by more than the model's own noise makes. Those through all other
+    recordings do not. Its mean square is more than all of theirs together.
 
     Parameters
     ----------

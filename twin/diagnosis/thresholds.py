@@ -70,8 +70,8 @@ SHORTEST_MEMORY = 0.02
 GAIN_KEPT_AT_HALF_MEMORY = 1.0 / 16.0
 #: Memory of the filter that looks for slow torques after a lost round, s.
 LONG_MEMORY = 0.4
-#: Gain that an effect must bring which shows to no usual memory. Bounces that a longer memory keeps have gained 34;
-#: departures of a rig from every law have gained a name 57 at a memory of a few hundredths of a second.
+#: Gain that an effect must bring which shows to no usual memory. Bounces that a longer memory keeps have gained 34.
+#: Departures of a rig from every law have gained a name 57, at a memory of a few hundredths of a second.
 MIN_GAIN_AT_OTHER_MEMORY = 5.0 * MIN_GAIN
 #: Gain from which on a filter is sure of an effect that the next, shorter memory cannot see.
 CLEAR_GAIN = 0.5 * MIN_GAIN
@@ -85,7 +85,7 @@ MAX_GAIN_RATIO = 3.0
 
 # ---- prediction of blocks that were left out (cross_validation) ----
 
-#: One block of half a second in so many is left out: all states of motion remain in the others.
+#: One block of half a second in this many is left out. All states of motion remain in the others.
 CROSS_VALIDATION_FOLDS = 5
 #: p-value below which a curve predicts what it was not fitted to.
 CURVE_MAX_P_VALUE = 0.005
@@ -106,7 +106,7 @@ MIN_SIZE_IN_ERRORS = 3.0
 #: Recordings from which on most of them must be predicted better with a name.
 MIN_RECORDINGS = 3
 
-#: Error on blocks that were left out over the same without a name, from which on the name is refuted: where noise makes
+#: Ratio of the errors on left-out blocks with and without a name, from which on the name is refuted. Where noise makes
 #: most of both errors they differ by a few percent.
 MAX_ERROR_RATIO = 1.05
 #: The same ratio below which a size is something, whatever its standard error: no effect that is not there halves the

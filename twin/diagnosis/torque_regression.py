@@ -1,8 +1,8 @@
-"""Which laws follow the missing torque, and from where they do.
+"""Which laws follow the missing torque, and with which values.
 
-Where much is missing and a motor rattles in its gap, the likelihood is so rough that a climb ends in the first valley,
-whatever it climbs with. The torque that a filter has to add knows of no valleys: along the way that the axis went it is
-linear in the sizes of most laws, and so is what the base itself would do otherwise.
+Where much is missing and a motor rattles in its gap, the likelihood is so rough that every fit ends in the first local
+optimum. The torque that a filter has to add has no such optima. Along the recorded path it is linear in the sizes of
+most laws, and so is any change of the base.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ _PHASE_STEP = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class TorqueFollower:
-    """A candidate that foretells a share of the missing torque, and values of base and candidate at which it does, one
-    for each side of the gap that it may act on.
+    """A candidate that predicts a share of the missing torque, and the values of base and candidate at which it does.
+    There is one set for each side of the gap that it may act on.
     """
 
     effect: str
@@ -157,8 +157,8 @@ def equal_dead_bands(values: Mapping[str, float]) -> dict[str, float]:
 
 
 def offset_starts(base: Fit, candidates: Sequence[str]) -> list[dict[str, float]]:
-    """Values at which a constant torque does what the base's dead-bands differ by, if one of them has nearly gone and
-    cannot do more; on the link and on the motor where that is open.
+    """Values at which a constant torque replaces the difference of the base's dead-bands, if one of them has nearly
+    gone and can go no further. Where its side of the gap is open, they are given for the link and for the motor.
 
     No slope leads there, and in the missing torque it looks as the dead-bands do.
     """

@@ -5,8 +5,8 @@ model itself) agree among themselves, the fits after it too, and that both group
 the weights of its errors, and `compare_models` names what differs. This is the generalised likelihood ratio test for
 a change at an unknown time (Basseville and Nikiforov, Detection of Abrupt Changes, 1993, section 4.4.3).
 
-The alarm rate is stated per recording: each of the k possible moments gets its share of it (Bonferroni), so that the
-rate is held whatever the errors of the fits have in common.
+The alarm rate is stated per recording. Each of the k possible times of a step gets its share of it (Bonferroni), so
+that the rate holds whatever the errors of the fits have in common.
 
 Repeated recordings of a real machine scatter by more than their own errors say. That excess is estimated from the
 differences of neighbouring fits, which a step touches once, and added to each fit. It takes some recordings to be

@@ -14,13 +14,14 @@ from twin.diagnosis.result import Estimate, Finding, NotBorneOut
 from twin.effects.catalogue import EFFECTS
 from twin.model.stepper import Structure
 
-#: An error that noise makes less often, that is so many times the expected one, and that is more than this share of the
-#: recorded range is none of noise: a free run nearer than that leaves nothing that shows.
+#: An error is not noise if it passes three limits: noise makes it less often than this, it is this many times the
+#: expected one, and it is more than this share of the recorded range. A free run nearer than that leaves nothing
+#: visible.
 CHANCE, SEVERAL, SHOWS = 1e-3, 3.0, 0.01
 #: By this share an error is larger than another.
 LARGER = 1.05
-#: Share of the missing torque that is a large share, where it is also this share of the drive's torque; and the share
-#: of the drive's torque by itself from which on something is missing, whatever noise the fit takes it for.
+#: Share of the missing torque that is large, if it is also the second share of the drive's torque. The third is the
+#: share of the drive's torque from which on something is missing by itself, whatever noise the fit takes it for.
 MUCH_LEFT, OF_DRIVE, TOO_MUCH = 0.5, 0.05, 0.3
 #: Standard errors by which a size has to differ from nothing.
 SURE = 2.0
