@@ -26,7 +26,6 @@ def _identify(args: argparse.Namespace) -> int:
         to_fit(recordings)  # before anything is compiled
         from twin.estimation import estimate, prior
         from twin.io import files
-        from twin.io.recording import to_fit
         from twin.model import fitted_model
         from twin.report import wording
 

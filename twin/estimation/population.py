@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 FloatArray = NDArray[np.float64]
 
@@ -103,7 +103,7 @@ def apart(values: FloatArray, variances: FloatArray, false_alarms: float) -> lis
         distance = np.abs(values[rest] - mean) / scale
         farthest = int(np.argmax(distance))
         n = len(rest)
-        quantile = float(student.isf(false_alarms / (2.0 * n), n - 2))
+        quantile = float(stdtrit(n - 2, 1.0 - false_alarms / (2.0 * n)))
         limit = (n - 1) * quantile / math.sqrt((n - 2 + quantile**2) * n)
         taken.append(rest.pop(farthest))
         if distance[farthest] > limit:

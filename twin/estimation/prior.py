@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher
+from scipy.special import fdtri
 
 from twin.errors import BadInput
 from twin.estimation.population import FEWEST, Population, population_of
@@ -119,7 +119,7 @@ def read_prior(folder: Path, structure: Structure) -> Prior:
 
 def _own(d: FloatArray, spread: FloatArray, siblings: int) -> list[int]:
     """Indices of the parameters in which a unit is not like its siblings."""
-    limit = float(fisher.isf(FALSE_ALARMS / len(d), 1, siblings - 1))
+    limit = float(fdtri(1, siblings - 1, 1.0 - FALSE_ALARMS / len(d)))
     own: list[int] = []
     while len(own) < len(d):
         rest = [i for i in range(len(d)) if i not in own]
