@@ -130,7 +130,7 @@ def together(errors: Sequence[Error], was_fitted: bool) -> FreeRun:
     """Several free runs as one: what was found, and what the model's own noise makes of them.
 
     Runs of different recordings share the errors of the parameters and nothing else. Where the parameters were fitted
-    to the same readings their errors take from the free run's error what they can follow; elsewhere they add to it.
+    to the same readings, their errors reduce the free run's error by what they can follow. Elsewhere they add to it.
     """
     readings = sum(e.readings for e in errors)
     if readings == 0:
@@ -167,8 +167,8 @@ def at_own_noise(problem: FitProblem, point: Fit) -> Fit:
 
 
 def free_runs(parts: Sequence[RecordingPart], problem: FitProblem, point: Fit, was_fitted: bool) -> list[Error]:
-    """The errors of the free runs through these parts, one for each of the problem's recordings, with the points of the
-    grid shared out by length.
+    """The errors of the free runs through these parts, one part for each recording of the problem. The points of the
+    grid are shared out by length.
     """
     mine = problem.stepped(point.structure)
     whole = sum(len(c.drive.time) for c in mine)
@@ -185,8 +185,8 @@ def free_runs(parts: Sequence[RecordingPart], problem: FitProblem, point: Fit, w
 class TorqueFigures:
     """The torque that the first and the last model lack, root mean square over the fitted recordings, as acceleration.
 
-    `share_left` is the second over the first and `of_drive` the second over what the drive made, both beyond what the
-    noise of the readings makes, which is `by_reading`; `drive` is what the drive made. NaN where there is nothing to
+    `share_left` is the second over the first, and `of_drive` the second over the drive's torque. Both are beyond what
+    the noise of the readings makes, which is `by_reading`. `drive` is the drive's torque. NaN where there is nothing to
     compare with.
     """
 

@@ -1,8 +1,8 @@
 """Does the held-out part stay where the fitted part has been? Which part to hold out so that it does.
 
 A drive that clips at 45 % shows that in no recording that commands less. A model fitted there may be right and still
-err where it has never been, and held-out data from there say nothing about it for or against. So the ranges of command,
-speed, position, supply and temperature are compared before anything is fitted.
+err outside that range. Held-out data from outside say nothing for or against it. So the ranges of command, speed,
+position, supply and temperature are compared before anything is fitted.
 """
 
 from __future__ import annotations

@@ -145,8 +145,8 @@ def _best_curve(
 ) -> Fit:
     """The first model with the term of no known shape that serves it best; by itself where the names leave it nothing.
 
-    `before` and `after` are what the first model and the last one lack, `chances` by which the names foretell. The
-    names may have shown the first model's own parameters a better place.
+    `before` and `after` are what the first model and the last one lack, `chances` the p-values of the names. The names
+    may have led to better values of the first model's own parameters.
     """
     first, last = found.first, found.last
     if not nonparametric.is_torque_known(found.problem, first):
@@ -223,7 +223,7 @@ def _curve_replaces_names(
     predicts such data need only pay its own penalty. Every real friction departs a little from its law, and a curve of
     any shape follows it. But the curve lacks the rest of the law: for example, that this friction changes sign with the
     motion. So names stay where they are found again beside the curve and each still improves the fit significantly. Dry
-    friction that leaves little also stays, alone or with a constant torque, where the curve is one over the speed: a
+    friction that leaves little also stays, alone or with a constant torque, where the curve is one over the speed. A
     motor that varies over its turn acts like friction that varies, but is none. A ripple keeps its name from a curve
     that is the same ripple with its overtones.
     """
@@ -266,7 +266,7 @@ def _keep_or_replace(found: SearchResult, nameless: Fit) -> SearchResult:
     """What becomes of a model whose names leave most of the missing torque where it was.
 
     They are replaced by a curve that predicts better. A curve that does not improve the fit significantly, or does less
-    than the names, would only lead a free run astray: then the model stays as it is.
+    than the names, would only mislead a free run. Then the model stays as it is.
     """
     if (
         model_comparison.is_significant(found.first, nameless)
@@ -515,7 +515,7 @@ def diagnose(
     said += _unequal_dead_bands(found.last, recordings[0].input_unit)
     tell("fitting both models to the end", 0.87)
     judged, last_point = foreseen if found.last is seen else _fit_with_longest_memory(found)
-    # Of a model without the right physics nobody can say what it would have to foresee.
+    # Which contacts a model without the right physics should predict is not known.
     first_point = local_optima.with_longer_memory(found.problem, found.first)
     same = first_point.structure == last_point.structure
     shown_pair = handed_out.pair(

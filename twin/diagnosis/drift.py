@@ -54,8 +54,8 @@ class Noise:
 
 
 def _stepped(dynamics: Dynamics, edges: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-    """Transition (K, 2, 2) of position and velocity error over each step of the grid, and what a torque noise of
-    density one adds to their covariance (K, 2, 2).
+    """Transition (K, 2, 2) of position and velocity error over each step of the grid, and the covariance (K, 2, 2) that
+    a torque noise of density one adds.
 
     `edges` (K + 1,) are the stamps at which the steps begin and end.
     """

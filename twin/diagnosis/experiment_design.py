@@ -164,8 +164,8 @@ class _Pair:
 def _as_torques(point: Fit, values: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
     """How far free parameters have moved (n,) from a fitted point, and the derivative of that (n, n).
 
-    What a gain multiplies counts in proportion to it. Where recordings fix only the torque, a parabola in gain and
-    dead-band themselves would bar the way along the hyperbola on which both explain them equally well.
+    What a gain multiplies counts in proportion to it. Recordings may fix only the torque. A parabola in gain and
+    dead-band would then block the hyperbola on which both explain them equally well.
     """
     moved = np.array([values[n] - point.values[n] for n in point.free])
     bend = np.eye(len(moved))

@@ -88,8 +88,8 @@ def _best_smaller(problem: FitProblem, point: Fit, lesser: Sequence[Fit], begun:
 
 
 def _restart(problem: FitProblem, point: Fit) -> Fit:
-    """The point at the noise density that it asks for, gap and teeth looked for anew; as it was where that would bend
-    an effect into something else.
+    """The point at its most likely noise density, with gap and teeth searched again. It stays as it was where that
+    would turn an effect into something else.
     """
     moved = local_optima.restart_gap(problem, local_optima.refit_at_own_noise(problem, point))
     return moved if is_plausible(problem, moved, point) else point
@@ -99,8 +99,8 @@ def _add_effects(
     problem: FitProblem, best: Fit, candidates: Sequence[str], tell: Progress,
     most: int = thresholds.MAX_EFFECTS,
 ) -> tuple[Fit, list[Round]]:  # fmt: skip
-    """The model with up to so many effects that earn their place, one at a time; the rounds, of which the last may have
-    added none.
+    """The model with up to this many effects that improve the fit significantly, added one at a time. And the rounds,
+    of which the last may have added none.
     """
     rounds: list[Round] = []
     known: list[Hypothesis] = []
@@ -141,8 +141,8 @@ def _prune(
 def _without_unmet_stops(problem: FitProblem, last: Fit) -> Fit:
     """The model with a stop only on the side where one is met.
 
-    Where nothing shows a stop it may stand at the furthest reading as well as anywhere beyond, and would be met by the
-    next recording that goes further.
+    A stop that nothing shows may stand at the furthest reading or anywhere beyond. Were it kept there, the next
+    recording that goes further would hit it.
     """
     fits = [last]
     for stop, far in NOWHERE.items():
@@ -163,14 +163,14 @@ def search(
     candidates: Sequence[str] = CANDIDATES,
     progress: Progress | None = None,
 ) -> SearchResult:
-    """Add effects one at a time for as long as each earns its place, and look closer at what came of it."""
+    """Add effects one at a time as long as each improves the fit significantly, then refine the result."""
     tell = progress or (lambda sentence, share: None)
     tell("fitting the first model", 0.0)
     problem, rough = multistart.coarse_starts(recordings, first, held)
     polished, fine = multistart.leave_local_optima(
         problem, multistart.fit_from_starts(problem, preparation.with_tooth_compliance(first), rough)
     )
-    # What a model without the right physics cannot foresee may be what is looked for.
+    # What a model without the right physics cannot predict may be what is looked for.
     problem = contact_masking.without_contact_mask(polished)
     best = local_optima.refit(problem.at(local_optima.judging_process_noise(problem, fine)), first, fine.values)
     candidates = screening.testable_candidates(problem, candidates)
@@ -293,14 +293,14 @@ def _prune_and_exchange(
 
 @dataclass(frozen=True, eq=False)
 class RoundMargin:
-    """How an effect won its place: by how much, and the rivals that lack it, each with how far behind it was."""
+    """How an effect won its round: its gain, and the rivals that lack it, each with the distance to it."""
 
     gain: float
     rivals: tuple[tuple[Hypothesis, float], ...]
 
 
 def round_margin(rounds: Sequence[Round], last: Structure, effect: str) -> RoundMargin:
-    """The last round that was won with an effect of the last model among its rivals, at whatever rank: an effect that
+    """The last round that was won with an effect of the last model among its rivals, at whatever rank. An effect that
     lost to a rival may have replaced it since.
 
     Some rivals are left out. One that contains the effect does not contradict it, and one that is also in the last
@@ -326,8 +326,8 @@ def round_margin(rounds: Sequence[Round], last: Structure, effect: str) -> Round
 
 
 def probability_shares(found: SearchResult, effect: str) -> tuple[float, dict[str, float]]:
-    """What of all that is certain an effect of the last model has, and what each rival that could stand in its place;
-    its absence has the rest.
+    """The share of the certain probability for an effect of the last model, and for each rival that could replace it.
+    Its absence has the rest.
     """
     contest = round_margin(found.rounds, found.last.structure, effect)
     against = {h.added[0]: max(short, 0.0) for h, short in contest.rivals}
@@ -344,10 +344,10 @@ def probability_shares(found: SearchResult, effect: str) -> tuple[float, dict[st
 def _alternatives(
     problem: FitProblem, last: Fit, first: Structure, lesser: Sequence[Fit], rounds: Sequence[Round],
 ) -> list[Alternative]:  # fmt: skip
-    """The last model with each effect exchanged for every rival that had come close to it; one that would do better has
-    to show in its place.
+    """The last model with each effect exchanged for every close rival. A rival that would do better has to be confirmed
+    in its place.
 
-    `lesser` are smaller models that the last one is held against, down to the first.
+    `lesser` are smaller models that the last one is compared with, down to the first.
     """
     out = []
     for effect in last.structure.named:
@@ -375,8 +375,7 @@ def _alternatives(
 
 
 def _overtaking_fits(rounds: Sequence[Round], effect: str, other: str) -> list[Fit]:
-    """The fits with the other effect, where in one round it did so much more than the effect that it had earned to
-    stand beside it."""
+    """The fits with the other effect, where its gain over the effect in one round was significant by itself."""
     fits = [{h.added[0]: h.point for h in this.rivals} for this in rounds]
     if not any(effect in by and other in by and model_comparison.is_significant(by[effect], by[other]) for by in fits):
         return []
@@ -513,8 +512,8 @@ def _dead_band_for_friction(problem: FitProblem, last: Fit, first: Fit) -> list[
 
 
 def _with_better_fit(this: Round, found: Fit) -> Round:
-    """The round, with a better fit of the rival that has this structure: one that ended in a lesser valley would say
-    that what contains it does more.
+    """The round, with a better fit of the rival that has this structure. A rival in a worse local optimum would make an
+    effect that contains it look better.
     """
     better = [h.point.structure == found.structure and found.deviance < h.deviance for h in this.rivals]
     rivals = (Hypothesis(h.added, found) if b else h for h, b in zip(this.rivals, better, strict=True))
@@ -535,7 +534,7 @@ def _plain_winner(problem: FitProblem, this: Round) -> Fit:
 
 
 def _fit_at_best_noise(problem: FitProblem, point: Fit) -> tuple[FitProblem, Fit]:
-    """The problem, judged only at contacts that the model foresees, and the maximum near the point at the most likely
+    """The problem, judged only at contacts that the model predicts. And the maximum near the point at the most likely
     process noise.
     """
     found = optimizer.fit_with_process_noise(problem.at(point.process_noise), point.structure, point.values, point.free)
@@ -614,10 +613,10 @@ def refine_with_short_memory(found: SearchResult, candidates: Sequence[str]) -> 
     """The search, with the effects that a filter with a shorter memory shows beside its last model. The memory is no
     longer than the recording asks for, and contacts are judged only if the model predicts them. Where nothing shows,
     the search is as it was. Where a motor rattles, errors over a tenth of a second are correlated. A unit of deviance
-    is then worth a fiftieth of what it is to a filter with a shorter memory, which sees a faint effect beside those
-    that were found. But such a filter does not see slow torques, and it weighs presliding at rest as much as what moves
-    the axis. So it removes nothing, and leaves what had been found as it is. It also sees how the axis departs from
-    every law. So what it alone shows has to gain as much more as what only a longer memory shows.
+    is then worth a fiftieth of what it is to a filter with a shorter memory. So the latter sees a faint effect beside
+    those that were found. But such a filter does not see slow torques, and it weighs presliding at rest as much as what
+    moves the axis. So it removes nothing, and leaves what had been found as it is. It also sees how the axis departs
+    from every law. So what it alone shows has to gain as much more as what only a longer memory shows.
     """
     problem, known = _fit_at_best_noise(found.problem, found.last)
     if known.process_noise < local_optima.PROCESS_NOISE_TOLERANCE * found.last.process_noise and all(
@@ -657,8 +656,8 @@ def with_last_model(found: SearchResult, last: Fit) -> SearchResult:
 
 
 def drop_effects(found: SearchResult, effects: Sequence[str], values: Mapping[str, float]) -> SearchResult:
-    """The search, its last model without some of its effects, from these values. What goes could as well have stood in
-    the place of what stays: of two that do the same it may be the other that fits better alone.
+    """The search, its last model without some of its effects, from these values. A removed effect may replace one that
+    stays: of two that do the same, the removed one may fit better alone.
     """
     kept, structure = local_optima.held_values(found.last), found.last.structure.without(*effects)
     alone = local_optima.refit(found.problem.holding(kept).at(found.last.process_noise), structure, values)

@@ -80,8 +80,8 @@ def model_probabilities(criteria: Sequence[float]) -> FloatArray:
 def whiteness_p_value(normalised: FloatArray, lags: int = 25) -> float:
     """p-value of the Ljung-Box test that normalised innovations are white; NaN for fewer than 100 of them.
 
-    They are averaged over blocks of a few samples first: rounding to whole counts leaves an error from stamp to
-    stamp that is not noise and not physics.
+    They are averaged over blocks of a few samples first, because rounding to whole counts leaves an error that is
+    neither noise nor physics.
     """
     z = normalised[np.isfinite(normalised)]
     if len(z) < 100:

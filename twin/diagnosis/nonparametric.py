@@ -298,7 +298,7 @@ _MEMORY_STARTS: Mapping[str, tuple[dict[str, float], ...]] = {
         for spring, damper in ((0.0, 0.5), (0.0, 4.0), (20.0, 1.0), (100.0, 2.0), (500.0, 4.0), (2000.0, 8.0))
     ),
 }
-#: So many travels make a wave's turn where the axis does not turn: what it is at one end it need not be at the other.
+#: Period of a wave where the axis does not turn, in travels. The curve need not be the same at both ends.
 _TRAVELS_PER_TURN = 1.5
 #: Knots of the finer line that shows where a curve bends.
 FINE_KNOTS = 30
@@ -411,8 +411,8 @@ def _interpolate_unseen_knots(values: Mapping[str, float], prefix: str, free: Se
 
 
 def _masked_torque(case: PreparedRecording, missing: MissingTorque) -> MissingTorque:
-    """What is missing where readings are judged: a knot that saw others alone, as while a motor rattles, is held by
-    nothing and would be thrown anywhere. All of it where too few are judged for a curve.
+    """The missing torque where readings are judged. A knot that saw only other readings, as while a motor rattles, is
+    not determined and could take any value. All of it where too few are judged for a curve.
     """
     torque = np.where(case.masked, np.nan, missing.torque)
     enough = np.count_nonzero(np.isfinite(torque)) * missing.step > KNOTS * residual_torque.AVERAGING_TIME
@@ -471,8 +471,8 @@ def sketch_curve(problem: FitProblem, base: Fit, term: CurveTerm) -> Fit:
 
 
 def first_wave_only(sketched: Fit) -> Fit:
-    """The sketch of a term of waves with the first of them alone, once a turn: as many numbers as an effect has that
-    repeats so.
+    """The sketch of a term of waves with only the first wave, once per turn. It has as many parameters as a named
+    effect that repeats once per turn.
     """
     (term,) = (i for i in sketched.structure.ids if i in [f"unknown_{kind}" for kind in _WAVE_KINDS])
     mine = {n for n in wave_parameters(term) if n in sketched.free}

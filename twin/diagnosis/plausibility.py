@@ -98,8 +98,8 @@ def _position_dependent_friction(cases: Sequence[PreparedRecording], values: Map
 
 
 def _stop(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
-    """It stops the link, which comes to it: what gives way further is a spring that grows, and where a recording begins
-    nothing has been met.
+    """It stops the link, which moves towards it. A stop that gives way further is a spring that stiffens. Where a
+    recording begins, no stop has been reached.
     """
     places = _positions(cases)
     travel = float(np.ptp(places))

@@ -95,8 +95,9 @@ class Round:
 
 
 def _is_preferred(smaller: Fit, larger: Fit) -> bool:
-    """Whether the larger model is preferred at the price of one parameter: whether something is there is asked, what
-    it is like has been paid for. A curve has twelve knots, and a shorter memory knows a sixteenth of a slow torque.
+    """Whether the larger model is preferred with the penalty of one parameter. The question is only whether an effect
+    exists: its other parameters have already been penalised. A curve has twelve knots, and a shorter memory sees a
+    sixteenth of a slow torque.
     """
     gain = (smaller.deviance - larger.deviance) / model_comparison.overdispersion([smaller, larger])
     return gain > thresholds.PENALTY_PER_PARAMETER * min(len(larger.free) - len(smaller.free), 1)

@@ -109,9 +109,9 @@ MIN_RECORDINGS = 3
 #: Ratio of the errors on left-out blocks with and without a name, from which on the name is refuted. Where noise makes
 #: most of both errors they differ by a few percent.
 MAX_ERROR_RATIO = 1.05
-#: The same ratio below which a size is something, whatever its standard error: no effect that is not there halves the
-#: error where it was not fitted. A clipped drive that came to 0.04 and 0.02 had a limit of 57 with an error of 880,
-#: from slopes at teeth that ring undamped (scripts/blind_trial.py, circuit, 91002:0).
+#: The same ratio, below which a size is accepted whatever its standard error. No false effect halves the error where it
+#: was not fitted. A clipped drive that came to 0.04 and 0.02 had a limit of 57 with an error of 880, from slopes at
+#: teeth that ring undamped (scripts/blind_trial.py, circuit, 91002:0).
 CLEAR_ERROR_RATIO = 0.5
 
 # ---- what is left in the missing torque (nonparametric) ----

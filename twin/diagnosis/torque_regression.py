@@ -99,7 +99,8 @@ def _effect_regressors(
 def _cross_validated_regression(
     columns: FloatArray, torque: FloatArray, turn: NDArray[np.intp]
 ) -> tuple[float, FloatArray]:
-    """The share of the torque's power that a regression foretells where it was not made, and its sizes made of all."""
+    """The share of the torque's power that a regression predicts on left-out data, and its coefficients from all
+    data."""
     scale = np.sqrt(np.mean(np.square(columns), axis=0)) + 1e-300
     parts = [(columns[turn == k] / scale, torque[turn == k]) for k in range(_FOLDS)]
     squares, pulls = np.array([a.T @ a for a, _ in parts]), np.array([a.T @ t for a, t in parts])
@@ -148,8 +149,8 @@ def _start_places(
 
 
 def equal_dead_bands(values: Mapping[str, float]) -> dict[str, float]:
-    """Dead-bands that are equal, and the constant torque that does as much as these differ by: as long as the drive
-    pushes, both do the same.
+    """Equal dead-bands, and the constant torque that replaces their difference: as long as the drive pushes, both do
+    the same.
     """
     ahead, behind = values["dead_band_forward"], values["dead_band_reverse"]
     equal = dict.fromkeys(("dead_band_forward", "dead_band_reverse"), 0.5 * (ahead + behind))
@@ -201,7 +202,7 @@ def fit_to_free_motion(problem: FitProblem, base: Fit) -> Fit | None:
 
 
 def ranked_by_torque(problem: FitProblem, base: Fit, candidates: Sequence[str]) -> list[TorqueFollower]:
-    """The candidates that foretell more of what the base lacks than it could do itself, the best first."""
+    """The candidates that predict more of the missing torque than a change of the base would, the best first."""
     longest = max(problem.recordings, key=lambda c: c.drive.time[-1])
     states = _moving_averages(residual_torque.missing_torque(longest, base.structure, base.values))
     if len(states["time"]) < _MIN_AVERAGES:

@@ -1,9 +1,9 @@
 """A twin against recordings made since: when did which parameter change, and by how much?
 
-Each recording gives a fit of the model's structure. A step after recording k means that the fits before it (and the
-model itself) agree among themselves, the fits after it too, and that both groups differ. Each group is pooled with
-the weights of its errors, and `compare_models` names what differs. This is the generalised likelihood ratio test for
-a change at an unknown time (Basseville and Nikiforov, Detection of Abrupt Changes, 1993, section 4.4.3).
+Each recording gives a fit of the model's structure. A step after recording k means three things: the fits before it
+(and the model itself) agree, the fits after it agree, and the two groups differ. Each group is pooled with the weights
+of its errors, and `compare_models` names what differs. This is the generalised likelihood ratio test for a change at an
+unknown time (Basseville and Nikiforov, Detection of Abrupt Changes, 1993, section 4.4.3).
 
 The alarm rate is stated per recording. Each of the k possible times of a step gets its share of it (Bonferroni), so
 that the rate holds whatever the errors of the fits have in common.

@@ -14,8 +14,8 @@ from twin.diagnosis.result import Estimate, Finding, NotBorneOut
 from twin.effects.catalogue import EFFECTS
 from twin.model.stepper import Structure
 
-#: An error is not noise if it passes three limits: noise makes it less often than this, it is this many times the
-#: expected one, and it is more than this share of the recorded range. A free run nearer than that leaves nothing
+#: An error is not noise if it passes three limits. Noise makes it less often than the first. It is the second times the
+#: expected one. It is more than the third as a share of the recorded range. A free run nearer than that leaves nothing
 #: visible.
 CHANCE, SEVERAL, SHOWS = 1e-3, 3.0, 0.01
 #: By this share an error is larger than another.

@@ -107,7 +107,7 @@ def without_contact_mask(problem: FitProblem) -> FitProblem:
 
 
 def with_contact_mask(problem: FitProblem, point: Fit) -> FitProblem:
-    """The problem, judged only where the model at this point can foresee whether motor and link touch."""
+    """The problem, judged only where the model at this point can predict whether motor and link touch."""
     if not point.structure.toothed:
         return without_contact_mask(problem)
     out = []

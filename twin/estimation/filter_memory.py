@@ -1,7 +1,7 @@
 """The process noise of the Kalman filter, and the memory that follows from it.
 
 The process noise is the density of a white torque noise over the variance of a reading, in 1/s^3 (positions) or 1/s
-(speeds). The larger it is, the sooner the filter forgets.
+(speeds). The larger it is, the shorter the filter's memory.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from twin.simulation.kernel import Noise
 
 FloatArray = NDArray[np.float64]
 
-#: The filter weighs at least so many new readings: one that forgets faster follows the rounding of the last.
+#: The filter's memory holds at least this many readings: a shorter one follows the rounding of the last.
 MIN_READINGS_IN_MEMORY = 2.0
 
 
 def process_noise_of(case: PreparedRecording, memory: float) -> float:
-    """The noise density, in units of the reading's variance, at which the filter forgets after `memory` seconds."""
+    """The noise density, in units of the reading's variance, at which the filter's memory is `memory` seconds."""
     step = case.step
     return step / memory**2 if case.drive.speed else step / memory**4
 
 
 def memory_of(case: PreparedRecording, process_noise: float) -> float:
-    """After how many seconds the filter forgets at a noise density; the inverse of `process_noise_of`."""
+    """The filter's memory, s, at a noise density; the inverse of `process_noise_of`."""
     return float((case.step / process_noise) ** (0.5 if case.drive.speed else 0.25))
 
 

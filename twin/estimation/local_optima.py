@@ -95,7 +95,7 @@ def restart_gap(problem: FitProblem, point: Fit) -> Fit:
 
 
 def refit_through_best_noise(problem: FitProblem, point: Fit) -> Fit:
-    """The point, or a better one by way of the noise density that the recording asks for, where valleys are wider."""
+    """The point, or a better one by way of the most likely noise density, where local optima are wider."""
     likeliest = optimizer.fit_with_process_noise(
         problem.at(point.process_noise), point.structure, point.values, point.free, rounds=12
     )

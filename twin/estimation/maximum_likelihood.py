@@ -165,7 +165,7 @@ def likeliest(
     problem, begun = multistart.coarse_starts(to_fit(recordings), structure, held)
     tell("the full likelihood", 0.3)
     point = multistart.fit_from_starts(problem.holding(held), preparation.with_tooth_compliance(structure), begun)
-    tell("leaving local valleys", 0.75)
+    tell("leaving local optima", 0.75)
     problem, point = multistart.leave_local_optima(problem, point)
     return problem.holding(held), point
 

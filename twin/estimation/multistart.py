@@ -95,7 +95,7 @@ def coarse_fit(
     values: Mapping[str, float],
     memory: float,
 ) -> Fit:
-    """A point in the right valley, by steps (1) and (2), for contact without compliance and a filter's memory (s)."""
+    """A point near the global optimum, by steps (1) and (2), for rigid contact and a filter's memory (s)."""
     problem = problem.at(filter_memory.process_noise_of(problem.recordings[0], memory))
     rigid = structure.without("tooth_compliance")
     free = problem.free(rigid)
@@ -180,7 +180,7 @@ def _shortest_memory(problem: FitProblem) -> float:
 def _fit_by_lengthening_memory(
     problem: FitProblem, structure: Structure, values: Mapping[str, float], free: tuple[str, ...]
 ) -> Fit:
-    """The likeliest point on the way from a filter that forgets at once to one that remembers for long.
+    """The likeliest point on the way from a short to a long memory of the filter.
 
     A light motor bounces in its gap, and whatever moves a bounce makes a local optimum. A filter with a short memory
     does not see the bounces: its likelihood has one wide optimum over the strength of the contacts. As the memory
@@ -264,7 +264,7 @@ def fit_from_starts(problem: FitProblem, structure: Structure, begun: Sequence[F
         )
 
     best = likeliest(preparation.complete_values(structure, p.values) for p in begun)
-    # Where the shortest memory is the best that there is, it is physics that is missing, not the right valley.
+    # Where the shortest memory is the best, physics is missing, not the right optimum.
     remembers = filter_memory.memory_of(seen.recordings[0], best.process_noise) > 1.1 * _shortest_memory(seen)
     if (
         remembers
@@ -326,8 +326,8 @@ def _best_on_ridges(problem: FitProblem, point: Fit) -> Fit:
 
 
 def refit_with_contact_mask(problem: FitProblem, point: Fit, most: float = math.inf) -> tuple[FitProblem, Fit]:
-    """The problem as it is judged by what the point can foresee, and the maximum near it, at a noise density of at
-    most so much.
+    """The problem, judged only at contacts that the point predicts. And the maximum near the point, with the noise
+    density bounded by `most`.
     """
     judged = contact_masking.with_contact_mask(problem, point)
     if all(a.contact_mask is b.contact_mask for a, b in zip(judged.recordings, problem.recordings, strict=True)):

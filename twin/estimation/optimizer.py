@@ -111,9 +111,10 @@ def levenberg_marquardt_from(problem: FitProblem, best: Fit, rounds: int, tolera
 
 
 def is_misspecified(problem: FitProblem, point: Fit) -> bool:
-    """Whether the model misses so much that its noise forgets as fast as it may, and errors stay correlated still.
+    """Whether the model misses so much that the filter's memory is the shortest allowed and errors are still
+    correlated.
 
-    Such a likelihood is rough, and which of its many valleys is the deepest says little about the axis.
+    Such a likelihood is rough, and which of its many local optima is the best says little about the axis.
     """
     return (
         point.overdispersion > OVERDISPERSION_OF_WRONG_MODEL
@@ -124,7 +125,7 @@ def is_misspecified(problem: FitProblem, point: Fit) -> bool:
 def most_likely_process_noise(
     problem: FitProblem, structure: Structure, values: Mapping[str, float], around: float | None = None
 ) -> float:
-    """The noise density that makes the recordings likeliest at fixed parameters; none that forgets too fast.
+    """The noise density that makes the recordings likeliest at fixed parameters, up to that of the shortest memory.
 
     `around` a density that is known already it is looked for within a factor of three hundred.
     """
@@ -134,7 +135,8 @@ def most_likely_process_noise(
         return each(lambda d: likelihood.evaluate(problem.at(10.0**d), structure, values).deviance, exponents)
 
     if around is None:
-        # Readings that are rounded and held have a second valley, where the last reading is all that is believed.
+        # Readings that are rounded and held have a second local optimum, where the filter follows the last reading
+        # alone.
         grid = [top - d for d in range(0, 9)]
         begin = grid[int(np.argmin(looked(grid)))]
     else:

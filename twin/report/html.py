@@ -220,7 +220,7 @@ def _still_missing(story: Story) -> str:
 def _nothing_found(d: Diagnosis) -> str:
     if d.verdict == "nothing_missing":
         return (
-            "None of the known effects earns its parameters on this recording, and what the first model leaves "
+            "None of the known effects improves the fit significantly on this recording. What the first model leaves "
             "over does not depend on where the axis is, how fast it moves or what drives it."
         )
     if d.verdict in ("inconclusive", "stopped"):
