@@ -1,4 +1,4 @@
-"""What a fitted name must bear out: a size that its error does not swallow, possible physics, and most recordings.
+"""Tests of a fitted name: its size against its standard error, possible physics, and a gain in most recordings.
 
 A likelihood gains also from names that describe something else. Their own figures then show it.
 """
@@ -90,8 +90,8 @@ def _no_help_ahead(problem: FitProblem, fit: Fit, lesser: dict[str, Fit]) -> Ite
 def _predicts_clearly(problem: FitProblem, fit: Fit, without: Fit | None) -> bool:
     """Whether errors on blocks that a name was not fitted to are far smaller with it, at every horizon.
 
-    Then its size is something, whatever its standard error: one from slopes at a rough place of the likelihood may be
-    anything.
+    Then its size is accepted, whatever its standard error. A standard error from slopes at a rough place of the
+    likelihood means nothing.
     """
     if without is None:
         return False

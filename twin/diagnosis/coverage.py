@@ -94,7 +94,8 @@ def beyond(train: Sequence[Recording], held_out: Sequence[RecordingPart]) -> lis
 def later(train: Sequence[Recording], held_out: Sequence[RecordingPart]) -> list[Beyond]:
     """The time since the start where the held-out part goes on for longer than any fitted one, by more than `ROOM`.
 
-    It matters to models whose physics depends on it, as a motor that warms does: to any other all times are alike.
+    It matters to models whose physics depends on it, such as a motor that warms. To any other model all times are the
+    same.
     """
     tested = [p.recording.time[p.inside & np.isfinite(p.recording.output)] for p in held_out]
     ends = [float(t[-1]) for t in tested if len(t)]
@@ -116,8 +117,9 @@ class Choice:
 
 
 def choose(recordings: Sequence[Recording]) -> Choice:
-    """The first of the end, the middle and blocks all over the recording that the fitted part surrounds, or whichever
-    leaves it least. Recordings that are held out by role stay so. Raises BadInput where nothing is to be fitted.
+    """The part to hold out: the end, the middle, or blocks all over the recording. It is the first that the fitted part
+    surrounds, or the one that leaves it least. Recordings that are held out by role stay so. Raises BadInput where
+    nothing is to be fitted.
     """
     tried = [(where, tuple(beyond(*split(recordings, where)))) for where in (END_PART, MIDDLE_PART, BLOCKS)]
     at_end = tried[0][1]

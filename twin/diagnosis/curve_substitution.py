@@ -118,8 +118,8 @@ def _departure(problem: FitProblem, last: Fit, curve: Fit, ids: Sequence[str], v
 
 
 def substitute_curve(problem: FitProblem, first: Structure, last: Fit, variable: str) -> Substitution | None:
-    """A curve over the variable that earns its place in spite of what the last model names over it; None where it does
-    not, or nothing is named."""
+    """A curve over the variable that improves the fit significantly beside what the last model names over it. None
+    where it does not, or nothing is named."""
     ids = _named_over(first, last.structure, variable)
     if not ids:
         return None
@@ -165,8 +165,8 @@ def is_ripple(last: Fit, curve: Fit) -> bool:
 
 
 def substitute_presliding(problem: FitProblem, first: Structure, last: Fit) -> Substitution | None:
-    """Friction that gives before it slides, in the place of all dry friction that the last model names; None where
-    there is none, or the recording does not speak for it.
+    """Friction with presliding, in the place of all dry friction that the last model names. None where there is none,
+    or the recording does not support it.
     """
     ids = tuple(e.id for e in last.structure.effects if e.slot == "grip" and e.id not in first)
     if not ids:
@@ -236,7 +236,7 @@ def substitute_cancelling(problem: FitProblem, first: Structure, last: Fit) -> S
     if left > thresholds.MAX_CANCELLED_STIFFNESS:
         return None
     curve = _fit_curve_instead(problem, last, ids, "position")
-    # The knots' price speaks for names, whatever they are: what counts is whether these fit better.
+    # The penalty of the knots favours names, whatever they are. What counts is whether these fit better.
     more = (curve.deviance - last.deviance) / model_comparison.overdispersion([curve, last])
     says = (
         f"{_titles(ids)} would fit, but cancel each other: about one place they are together no more than "
@@ -247,7 +247,7 @@ def substitute_cancelling(problem: FitProblem, first: Structure, last: Fit) -> S
 
 
 def best_substitution(problem: FitProblem, first: Structure, last: Fit) -> Substitution | None:
-    """The last model with what has no name in the place of what it names, where the recording speaks for that."""
+    """The last model with a nameless curve in the place of names, where the recording supports it."""
     variables = [v for v in CURVE_SLOTS if not (problem.recordings[0].drive.speed and v == "position")]
     pieces = substitute_cancelling(problem, first, last) if "position" in variables else None
     curves = [substitute_curve(problem, first, last, v) for v in variables] if pieces is None else [pieces]

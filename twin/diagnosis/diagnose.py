@@ -166,7 +166,7 @@ def _best_curve(
         bases.append(replace(first, values={n: last.values.get(n, v) for n, v in first.values.items()}))
         left.append(after)
     speed = found.problem.recordings[0].drive.speed
-    # Several recordings of speed begin at angles that nobody knows.
+    # Several recordings of speed begin at unknown angles.
     several = speed and len(found.problem.recordings) > 1
     strange = [k for k in TERM_KINDS if several and "position" in EFFECTS[f"unknown_{k}"].depends_on]
     strange += [] if nonparametric.fixes_drive_curve(found.problem.recordings) else ["input"]
@@ -178,7 +178,8 @@ def _best_curve(
         lambda p: nonparametric.fit_curve(found.problem, p),
         sorted(tried, key=lambda p: p.deviance)[: thresholds.MAX_CURVES],
     )
-    # What the first model lacked may have led its gap and teeth far astray; what is far behind the names stays there.
+    # Missing physics may have led gap and teeth of the first model to a wrong optimum. A fit far behind the names stays
+    # there.
     near = [
         p
         for p in fits
@@ -300,7 +301,7 @@ def _fit_with_longest_memory(found: SearchResult) -> tuple[FitProblem, Fit]:
 
 
 def _idle_names(problem: FitProblem, sharp: Fit, first: Structure) -> list[str]:
-    """The names beyond the first model that do nothing: without their size, and all else as it is, `sharp` is as
+    """The names beyond the first model that do nothing: with a size of zero and nothing else changed, `sharp` is as
     likely.
     """
     out = []
@@ -331,9 +332,10 @@ def _name_p_values(found: SearchResult, first: Structure) -> dict[str, float]:
 
 
 def _unearned(found: SearchResult, foreseen: tuple[FitProblem, Fit], first: Structure) -> list[NotBorneOut]:
-    """The names beyond the first model that fail a test: all that do nothing, or else the one that fails most clearly.
+    """The names beyond the first model that fail a test. These are all that do nothing, or else the one that fails most
+    clearly.
 
-    Of two that do the same neither predicts anything beside the other: one goes, the other is asked anew.
+    Of two that do the same, neither predicts anything beside the other. So one is removed and the other tested again.
     """
     idle = _idle_names(*foreseen, first)
     if idle:
@@ -435,7 +437,7 @@ def _split_and_search(
 
 
 def _without_worse_curve(found: SearchResult, first: Structure) -> tuple[SearchResult, list[str]]:
-    """The search, with the first model in the place of a last one whose curve does not help where it was not fitted."""
+    """The search. Its first model replaces a last one whose curve does not help on data that it was not fitted to."""
     curves = [i for i in found.last.structure.ids if i in UNKNOWN and i not in first]
     if not curves or block_validation.improves(found.problem, found.first, found.last):
         return found, []

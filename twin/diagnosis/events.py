@@ -1,4 +1,4 @@
-"""What a search says of itself while it runs, to whoever observes it: the rivals of a round, and each model reached.
+"""Events of a running search for an observer: the rivals of a round, and each model reached.
 
 A sentence and a share of the work are told to `progress`; here are the models themselves.
 """

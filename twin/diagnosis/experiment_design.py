@@ -58,7 +58,7 @@ NEEDED_LOG_LIKELIHOOD = 1.5 * thresholds.TEMPERATURE * math.log(99.0)
 _KNOWN_ERROR, _UNKNOWN_ERROR = 0.02, 10.0
 _MAX_DURATION = 30.0  # s, where the user sets no limit
 _MIN_DURATION = 2.0  # s: a verdict should not hang on one edge or one gap crossing, which no model has quite right
-_SAFETY_FACTOR = 1.5  # times what is needed: recordings differ by chance, rivals refit further than was foreseen
+_SAFETY_FACTOR = 1.5  # times what is needed: recordings differ by chance, rivals refit further than predicted
 _DESIGN_STEP = 0.004  # s; rivals part over many samples, finer ones cost time and say no more
 _CHECK_INTERVAL = 0.2  # s between the moments at which a signal may be cut
 _MAX_RIVALS = 3  # the leader is separated from so many less one
@@ -77,7 +77,7 @@ _GAIN_OF = {
     "saturation_limit": "input_gain",
     "spring_rest": "spring_stiffness",
 }
-#: What no new recording fixes (it happened in the old one), or nobody asks for.
+#: Parameters that no new recording fixes (the event was in the old one), or that are of no interest.
 _NOT_SOUGHT = frozenset({"load_time", "load_added", "disturbance_phase", "tooth_frequency", "tooth_damping"})
 
 

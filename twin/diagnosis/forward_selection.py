@@ -119,7 +119,7 @@ def _add_effects(
         rounds.append(_with_better_fit(this, best))
         events.announce(events.Reached(problem, best))
         if this is not usual:
-            # Over so long a memory others would earn by a bounce's chance what they must.
+            # Over such a long memory other effects would gain enough by the chance of a bounce.
             break
     return best, rounds
 
@@ -127,7 +127,7 @@ def _add_effects(
 def _prune(
     problem: FitProblem, best: Fit, begun: Fit
 ) -> tuple[Fit, list[Fit]]:  # fmt: skip
-    """The model without effects whose lack does not matter, and the smaller ones that it is held against."""
+    """The model without its superfluous effects, and the smaller ones that it is compared with."""
     lesser: list[Fit] = []
     while fewer := _smaller_structures(best.structure, begun.structure):
         lesser = [*_refits(problem, best, fewer), begun]
@@ -210,12 +210,13 @@ def _search_from(
     for _ in range(thresholds.MAX_REPLACEMENTS):
         grown, more = _add_effects(problem, best, candidates, tell, room)
         rounds += more
-        # What the last model is held against is judged as it is.
+        # What the last model is compared with is judged at the same noise.
         start = rounds[0].before if rounds else grown
         begun = local_optima.refit(problem.at(grown.process_noise), first, start.values)
         best, lesser, swaps = _prune_and_exchange(problem, grown, begun, rounds)
         begun = _best_of_structure(lesser, begun)
-        # What was ousted, or did not last, may have stood before what would; but not where it did more than all others.
+        # An effect that was replaced or pruned may have hidden another one. This is not so where it did more than all
+        # others.
         if best.structure in (grown.structure, *(this.before.structure for this in rounds)):
             break
     return SearchResult(begun, best, tuple(rounds), problem, tuple(lesser), tuple(swaps))
@@ -225,8 +226,8 @@ def _narrow_rounds(problem: FitProblem, found: SearchResult, process_noise: floa
     """The first round, won by a rival instead, once for each rival of these. It is confirmed. Its gain, in units of its
     own, was about as large as the winner's, or larger. It neither contains the winner nor is contained in it.
 
-    What leads a model astray may do most for the deviance, since correlated innovations count the same evidence many
-    times over. None where the round was not won with the density that the search began with, or was won on credit.
+    A misleading effect may reduce the deviance most, since correlated innovations count the same evidence many times
+    over. None where the round was not won with the density that the search began with, or was won on credit.
     """
     this = found.rounds[0] if found.rounds else None
     if this is None or not this.won or this.before.process_noise < process_noise:
@@ -521,7 +522,7 @@ def _with_better_fit(this: Round, found: Fit) -> Round:
 
 
 def _plain_winner(problem: FitProblem, this: Round) -> Fit:
-    """The winner, or what it brought along alone where that earns a place by itself.
+    """The winner, or only what it brought along where that improves the fit significantly by itself.
 
     What a specialised friction adds to plain friction then competes with everything else that may be beside it.
     """
@@ -546,7 +547,8 @@ def _fit_at_best_noise(problem: FitProblem, point: Fit) -> tuple[FitProblem, Fit
 def _add_with_short_memory(
     problem: FitProblem, best: Fit, most: int, candidates: Sequence[str]
 ) -> tuple[FitProblem, Fit, list[Round]]:  # fmt: skip
-    """The model with up to so many more effects, each judged as what was found before it asks for; the rounds won."""
+    """The model with up to `most` more effects, each judged at the noise and the contact mask of the model before it.
+    And the rounds won."""
     rounds: list[Round] = []
     while len(rounds) < most and (open_ := [c for c in candidates if c not in best.structure]):
         seen = selection_round.screen_candidates(problem, best, open_)
@@ -573,9 +575,9 @@ def _add_with_usual_memory(
     most: int,
     candidates: Sequence[str],
 ) -> tuple[FitProblem, Fit, list[Round]]:
-    """The model with up to so many more effects that the usual filter sees now, judged as it asks for; the rounds won.
+    """The model with up to `most` more effects that the filter with the usual memory sees now. And the rounds won.
 
-    What is faint to the usual filter may be so because that had lost its way for lack of it, and then missed more.
+    An effect may look faint to that filter only because the model without it was misled, and then lacked more.
     """
     settled = local_optima.refit(found.problem.at(found.last.process_noise), best.structure, best.values)
     usual = _restart(found.problem, settled)
@@ -648,7 +650,8 @@ def refine_with_short_memory(found: SearchResult, candidates: Sequence[str]) -> 
 
 
 def with_last_model(found: SearchResult, last: Fit) -> SearchResult:
-    """The search with another last model of the same structure, and what that is held against fitted anew."""
+    """The search with another last model of the same structure. The models that it is compared with are fitted
+    again."""
     kept = local_optima.held_values(last)
     fits = _refits(found.problem.holding(kept), last, _smaller_structures(last.structure, found.first.structure))
     swaps = _refit_alternatives(found.problem.holding(kept), last, found.alternatives)

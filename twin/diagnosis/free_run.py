@@ -118,7 +118,7 @@ def _unknown_gap(point: Fit, states: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Started:
-    """A free run from the start that the first readings speak for, under the model's own torque noise."""
+    """A free run from the likeliest start for the first readings, under the model's own torque noise."""
 
     case: PreparedRecording  # with that start
     reading: FloatArray  # (N,) what the sensor should read

@@ -49,8 +49,8 @@ def _free_run(fmu: Path, part: RecordingPart, lead: float, closed: bool) -> np.n
 
 
 def simulate_recording(model: Model, recording: Recording, closed: bool = False) -> np.ndarray:
-    """What the sensor reads (N,) over the whole recording, free from its start or, `closed`, under the rig's own loop,
-    by the kernel. Raises BadInput where that loop is not known.
+    """What the sensor reads (N,) over the whole recording, by the kernel. The run is free from its start or, with
+    `closed`, under the rig's own loop. Raises BadInput where that loop is not known.
     """
     case = prepared_recording.prepare_recording(recording, model.structure, closed)
     case = replace(case, start=python_fmu.start_of(recording))
@@ -87,9 +87,9 @@ def _acceleration_ratio(here: MissingTorque, there: MissingTorque) -> float:
 
 
 def physics_only_in_holdout(problem: FitProblem, point: Fit, held_out: Sequence[RecordingPart]) -> list[str]:
-    """What the last model lacks in held-out data alone: of physics that did not act before, nobody could tell.
+    """What the last model lacks in held-out data alone. Physics that did not act before cannot be known.
 
-    Either a torque that goes with something, or one that is larger than all before, as where a stop is met.
+    Either a torque that depends on something, or one that is larger than all before, as at an end stop.
     """
 
     def lacks(case: PreparedRecording, part: RecordingPart) -> tuple[MissingTorque, nonparametric.RemainingDependence]:

@@ -1,4 +1,4 @@
-"""Which of several fitted structures a recording speaks for, and how well each fits."""
+"""Which of several fitted structures a recording supports, and how well each fits."""
 
 from __future__ import annotations
 

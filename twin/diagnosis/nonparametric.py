@@ -43,7 +43,7 @@ _SHRINKAGE = 5.0
 #: Waves over position, so many times a turn, each cut into so many phases.
 _WAVE_ORDERS = range(2, 61)
 _PHASE_BINS = 8
-#: So far after a reversal friction and gap may still remember it, rad.
+#: Travel after a reversal over which friction and gap may still depend on it, rad.
 _REVERSAL_RANGE = 0.3
 _EULER_MASCHERONI = 0.5772156649015329
 
@@ -373,7 +373,7 @@ def _initial_waves(
 def _initial_curve(
     means: Mapping[str, FloatArray], term: CurveTerm, values: Mapping[str, float]
 ) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Values of the parameters of a term of lines to start from, and the knots that have seen enough to be fitted."""
+    """Start values of the parameters of a piecewise curve, and the knots with enough data to be fitted."""
     prefix = f"unknown_{term.kind}"
     variable = "time" if term.kind == "drag" else term.kind
     x = means[variable]
@@ -489,7 +489,7 @@ def fit_curve(problem: FitProblem, sketched: Fit) -> Fit:
 
 
 def restart_curve_gap(problem: FitProblem, point: Fit) -> Fit:
-    """The point, or a better one where gap, shares and teeth are looked for anew; what is not free stays as it is."""
+    """The point, or a better one after a new search of gap, shares and teeth. What is not free stays as it is."""
     return local_optima.restart_gap(problem.holding(local_optima.held_values(point)), point)
 
 

@@ -120,7 +120,7 @@ def _approaches_stop(depth: NDArray[np.float64]) -> bool:
 
 
 def _presliding(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
-    """It slides on the way, and gives by more than the encoder rounds to, and than any dry contact, before it does."""
+    """It slides within the travel. Its presliding exceeds the encoder's count, and that of any dry contact."""
     seen = [thresholds.MIN_GIVE_ANGLE * c.recording.lever for c in cases]
     seen += [thresholds.MIN_GIVE_COUNTS * c.recording.resolution for c in cases if not c.drive.speed]
     return max(seen) < values["unknown_bend_give"] < thresholds.MAX_GIVE * float(np.ptp(_positions(cases)))
@@ -152,7 +152,7 @@ RULES: Mapping[str, Rule] = {
 
 
 def _implausible_effects(problem: FitProblem, point: Fit) -> set[str]:
-    """The effects of the fit that are no longer what their names say; of what has a phase also those without a size."""
+    """The effects of the fit that are no longer what their names say. Those with a phase need a size, too."""
     phases = {e.id: e.screen.phase for e in point.structure.effects if e.screen is not None}
     flung = {
         effect for effect, phase in phases.items() if phase and not abs(point.values[phase]) < thresholds.MAX_PHASE

@@ -125,7 +125,7 @@ def _advanced(values: FloatArray, samples: int) -> FloatArray:
 def _held_back(time: FloatArray, corrections: FloatArray, read: NDArray[np.intp], longest: float) -> FloatArray:
     """Each reading's correction per time since the reading before it, at all stamps (N,) since then.
 
-    NaN in silences of more than `longest` seconds: nobody knows when in them the torque acted.
+    NaN in silences of more than `longest` seconds: when the torque acted in them is not known.
     """
     if len(read) == 0:
         return np.full(len(time), np.nan)
@@ -141,7 +141,7 @@ def missing_torque(
 ) -> MissingTorque:
     """Read the missing torque off the corrections of a filter with the given memory, s.
 
-    A sensor may be read more slowly than it is logged: each correction then stands for the time since the last reading.
+    A sensor may be read more slowly than it is logged. Each correction then covers the time since the last reading.
     """
     case = case.stepped(structure)
     step = float(np.median(np.diff(case.drive.time)))

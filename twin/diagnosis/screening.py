@@ -171,11 +171,13 @@ def trial_grids(
     fast = float(np.quantile(speeds, 0.95)) if len(speeds) else 1.0
     out["stribeck_friction"] = [{"stribeck_velocity": f * fast} for f in (0.02, 0.06, 0.15)]
     if travel > 0.0:
-        # A ripple is one that is seen to repeat; on more than half a turn, a whole number of times a turn.
+        # A ripple has to repeat within the travel. On more than half a turn it repeats a whole number of times per
+        # turn.
         least = MIN_REPEATS * _TURN / travel
         turning = not longest.recording.output_unit.startswith("m") and travel > 3.0
         circle, most = (_TURN, 60.0) if turning else (_RATES_PER_LINE * travel, 45.0 * least)
-        # A wave of the motor's angle is another one of the link's as the motor pushes from the other side of its gap.
+        # A wave over the motor's angle has another phase over the link's when the motor pushes from the other side of
+        # its gap.
         sides = [np.where(np.sign(missing.command) == s, missing.torque, np.nan) for s in (1.0, -1.0)]
         orders = (_spectral_lines(missing.position, t, circle, least, most) for t in ([missing.torque], sides))
         out["torque_ripple"] = [{"ripple_order": n} for n in dict.fromkeys(itertools.chain(*orders))]
@@ -256,7 +258,7 @@ _MOMENTARY = ("load_change", "periodic_disturbance", "disturbance_pulse")
 def testable_candidates(problem: FitProblem, candidates: Sequence[str]) -> list[str]:
     """The candidates that recordings of this kind can show.
 
-    Several recordings of speed begin at angles that nobody knows, so that nothing of position can be fitted to all.
+    Several recordings of speed begin at unknown angles. So no law over the position can be fitted to all.
     """
     first = problem.recordings[0].recording
     readings = [c.drive.measured for c in problem.recordings]

@@ -329,7 +329,7 @@ def run_round(
         return before.deviance - max(thresholds.CLOSE_SHARE * gain, least)
 
     if before.deviance - leaders[0].deviance > least:
-        # What is confused with the best and far behind it is tried in its place: the model without both may be misled.
+        # Effects confused with the best and far behind it are tried in its place: the model without both may be misled.
         near_it = [h.added for h in best.values() if h.deviance < far()]
         masks = [e for e in candidates if (e,) not in near_it and _is_confusable(e, leaders[0])]
         keep(each(lambda e: _fit_in_place_of_winner(problem, leaders[0], structure, e), masks))

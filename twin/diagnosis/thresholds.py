@@ -99,7 +99,7 @@ NAME_CLEAR_P_VALUE = 1e-4
 #: Blocks that are needed for a p-value.
 MIN_BLOCKS = 10
 
-# ---- what a name must bear out (acceptance) ----
+# ---- tests of a name (acceptance) ----
 
 #: Standard errors that the size of a name must reach: by chance one in 370 does.
 MIN_SIZE_IN_ERRORS = 3.0

@@ -61,7 +61,7 @@ class Track:
     Attributes
     ----------
     model : Model
-        What the recordings are held against.
+        What the recordings are compared with.
     names : tuple of str
         Of the recordings.
     fits : tuple of Model

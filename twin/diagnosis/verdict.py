@@ -50,7 +50,7 @@ def is_worse(compared: Comparison) -> bool:
 
 
 def vetoed(figures: Adequacy) -> bool:
-    """Whether held-out data, or the fitted ones, speak against the last model: then the first is handed out."""
+    """Whether held-out or fitted data contradict the last model: then the first is handed out."""
     return any(is_worse(c) for c in figures.free_run.values())
 
 

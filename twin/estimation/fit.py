@@ -69,7 +69,7 @@ class Fit:
     @cached_property
     @numerics.ignore_overflow()
     def _variance_inflation(self) -> FloatArray:
-        """Variances (n,) that the scatter of the slopes bears out, over those that the information promises.
+        """Variances (n,) from the scatter of the slopes, over those that the information promises.
 
         In a direction that nothing determines, both are zero: for example gain and dead-band where the command has one
         size. The ratio is then that of the remaining directions, and NaN where the parameter has none.

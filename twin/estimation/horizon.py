@@ -66,7 +66,7 @@ class HorizonFit:
     def covariance(self) -> NDArray[np.float64]:
         """Of the free parameters (n, n).
 
-        Errors of one run hang together: the jackknife leaves out stretches as long as the run, but several for every
+        Errors of one run are correlated. The jackknife leaves out stretches as long as the run, but several for every
         parameter.
         """
         whole = sum(float(c.drive.time[-1]) for c in self.goal.recordings)

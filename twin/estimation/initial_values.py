@@ -49,7 +49,7 @@ def smoothed_motion(
     command = case.recording.input[np.clip(np.searchsorted(time, grid, "right") - 1, 0, len(time) - 1)]
     rank = 0 if case.drive.speed else 1
     speed, acceleration = (local_slope(values, width, order, rank + k, step) for k in range(2))
-    # A slope across a silence is nobody's speed.
+    # A slope across a silence is no speed.
     after = np.clip(np.searchsorted(time[ok], grid), 1, int(ok.sum()) - 1)
     apart = time[ok][after] - time[ok][after - 1]
     dense = apart <= max(window, 3.0 * float(np.median(apart)))

@@ -99,7 +99,7 @@ def _diverged_slopes(
     or within the time of a contact. Where a light motor bounces in its gap, a slope grows beyond that, by a factor with
     each bounce. A handful of such stamps would outweigh all others.
     """
-    # A free run forgets nothing, and one under its own loop is driven by what it reads.
+    # A free run has an infinite memory, and one under its own loop is driven by its readings.
     if process_noise == 0.0 or case.free_run is not None or case.drive.closed or "input_gain" not in free:
         return np.zeros(len(slopes), dtype=bool)
     memory = max(filter_memory.memory_of(case, process_noise), _CONTACT_DURATION) + case.longest_interval
@@ -243,7 +243,7 @@ def fit_from_innovations(
     if not math.isfinite(scale):
         return _not_runnable(structure, values, problem.process_noise, free)
     deviance = loss + logs + count * math.log(scale)
-    # A short recording has short stretches: were its scatter not looked at it would speak for whatever is largest.
+    # A short recording has short stretches. Without a look at its scatter it would support whatever is largest.
     stretch = min(stretch, judged / (n + SPARE_BLOCKS + 1))
     kept = results if all(r.slopes.shape[1] == n for r in results) else None
     fit = Fit(structure, dict(values), problem.process_noise, free, deviance, scale, np.eye(n), np.zeros(n), np.eye(n))

@@ -68,7 +68,7 @@ def restart_tooth_stiffness(
     structure: Structure,
     values: Mapping[str, float],
 ) -> Fit:
-    """The maximum near these values with teeth that are looked for anew."""
+    """The maximum near these values after a new search of the teeth."""
     structure = preparation.with_tooth_compliance(structure)
     seen = multistart.excerpts(problem, structure)
     begun = multistart.best_tooth_start(seen, structure, preparation.complete_values(structure, values))
@@ -76,9 +76,9 @@ def restart_tooth_stiffness(
 
 
 def restart_gap(problem: FitProblem, point: Fit) -> Fit:
-    """The point, or a better one where gap, shares and teeth are looked for anew.
+    """The point, or a better one after a new search of gap, shares and teeth.
 
-    What was missing until now may have led them astray, and no slope leads back.
+    Physics that was missing until now may have led them to a wrong optimum, and no slope leads back.
     """
     if not point.structure.toothed:
         return point

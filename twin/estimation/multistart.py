@@ -276,8 +276,8 @@ def fit_from_starts(problem: FitProblem, structure: Structure, begun: Sequence[F
 
 
 def _dead_band_ridge(problem: FitProblem, point: Fit) -> list[dict[str, float]]:
-    """Both sides of the dead-band moved together, gain and friction following. Along this ridge of the likelihood there
-    are local optima a tenth of a percent of the input apart, and a gradient stays in the first.
+    """Both sides of the dead-band moved together, gain and friction following. Along this ridge of the likelihood,
+    local optima are a tenth of a percent of the input apart. A gradient stays in the first.
     """
     if not all(n in point.free for n in (*_DEAD_BANDS, *_RIDGE_FOLLOWERS)):
         return []

@@ -162,7 +162,7 @@ def fit_with_process_noise(
     most: float = math.inf,
 ) -> Fit:
     """Maximum likelihood over the free parameters and the noise density, alternating until neither moves; the density
-    stays at most so much. It begins with that of the problem, or is looked for anew where that is zero.
+    stays at most so much. It begins with that of the problem, or is searched where that is zero.
 
     Until the density is settled the parameters only have to be about right.
     """

@@ -1,8 +1,8 @@
 """A parameter over many axes of one kind: how far the axes differ, and which of them stands apart.
 
 Each axis gives an estimate with a standard error s_i; the axes themselves scatter by tau around a centre mu. So the
-estimates have the variances tau^2 + s_i^2 (random-effects model). tau follows from the condition that the weighted
-squares sum to their number less one (Paule and Mandel, Consensus values and weighting factors, J. Res. NBS 87, 1982).
+estimates have the variances tau^2 + s_i^2 (random-effects model). The condition for tau is that the weighted squares
+sum to their number less one (Paule and Mandel, Consensus values and weighting factors, J. Res. NBS 87, 1982).
 
 Axes that stand apart are found with the generalised ESD test (Rosner, Percentage points for a generalized ESD
 many-outlier procedure, Technometrics 25, 1983). The farthest is taken out until a quarter is gone. The last one whose

@@ -1,7 +1,7 @@
 """What pytest finds where this package is installed: the fixture `twin`, with the checks in `twin.testing.checks`.
 
-It is read at every start of pytest, also by projects that never ask for the fixture: what the checks need is imported
-with the first of them.
+It is read at every start of pytest, also by projects that never ask for the fixture. So what the checks need is
+imported with the first of them.
 """
 
 from __future__ import annotations
