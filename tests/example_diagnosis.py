@@ -74,7 +74,7 @@ def _adequacy() -> Adequacy:
         {"train": compared, "holdout": compared},
         missing_torque=TorqueFigures(2.8, 0.035, 0.03, 0.01, 0.002),
         beyond_training=(Beyond("input", (-30.0, 35.0), (-30.0, 40.0)),),
-        says="The figures bear the model out: p = 0.40.",
+        says="The figures support the model: p = 0.40.",
     )
 
 

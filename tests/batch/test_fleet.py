@@ -35,7 +35,7 @@ def write_recording(path: Path, seed: int) -> None:
 
 def result(axis: str, friction: float, effects: tuple[str, ...] = ()) -> AxisResult:
     return AxisResult(
-        axis, "explained" if effects else "nothing_missing", "The figures bear the model out.", effects,
+        axis, "explained" if effects else "nothing_missing", "The figures support the model.", effects,
         {"viscous_friction": friction, "input_gain": 0.3}, {"viscous_friction": 0.01, "input_gain": 0.003},
         {"viscous_friction": "1/s", "input_gain": "rad/s^2/%"},
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""A name must bear out its own figures."""
+"""The figures of a name must confirm it."""
 
 from __future__ import annotations
 

@@ -125,4 +125,4 @@ def test_names_that_leave_the_fitted_data_unexplained_are_not_called_the_cause()
     figures = replace(sound(), free_run={"train": half, "holdout": sound().free_run["holdout"]})
     claim = verdict.decide(figures, [finding(3.0, 0.1)], False, False)
     assert claim.verdict == "partly_explained"
-    assert "not bear out that what is named is the cause" in claim.says and "errs 50 % as much" in claim.says
+    assert "not show that what is named is the cause" in claim.says and "errs 50 % as much" in claim.says

@@ -132,7 +132,7 @@ def test_every_verdict_and_kind_of_recording(verdict, several):
 
 @pytest.mark.parametrize("verdict", ["explained", "nothing_missing", "partly_explained", "unexplained"])
 def test_what_is_still_missing_is_said_where_something_is(verdict):
-    """Where, when and how large, with a picture; and not a word of it where the figures bear the model out."""
+    """Where, when and how large, with a picture; and not a word of it where the figures support the model."""
     d = example(verdict)
     figures_of = replace(d.adequacy.missing_torque, after=1.25, of_drive=0.2)
     page = Page(html.html(story(diagnosis=replace(d, adequacy=replace(d.adequacy, missing_torque=figures_of)))))

@@ -72,11 +72,12 @@ def fleet(
     Parameters
     ----------
     listing
-        A CSV with the columns ``axis`` and ``file`` (relative to it), optional ``rig`` and what else a manifest may
-        say. Rows of one axis are recordings of it.
+        A CSV with the columns ``axis`` and ``file`` (relative to it). Optional are ``rig`` and the columns of a
+        manifest. Rows of one axis are recordings of it.
     out
-        The folder: a folder for each axis as `run` leaves it, and ``fleet.html``, ``fleet.json``, ``fleet.csv`` and,
-        with pyarrow, ``fleet.parquet``. An axis whose folder holds the result of the same files is not run again.
+        The folder. It gets a folder for each axis, as `run` leaves it. Beside them are ``fleet.html``, ``fleet.json``,
+        ``fleet.csv`` and, with pyarrow, ``fleet.parquet``. An axis whose folder holds the result of the same files is
+        not run again.
     scheduler
         Address of a Dask scheduler; its workers read the recordings and write the results, so that both must lie
         where they see them. By default, processes of this machine, one for each core.

@@ -5,8 +5,8 @@ structure. The co-simulation runs it, numba compiles it for hundreds of draws, a
 the observer's state at this sample and `y` the state predicted to the moment at which the command computed now will
 act; `m` memory, `q` the commands still under way (newest first), `g` the design.
 
-The command that is computed from the reading at one sample leaves at the next, as on a rig and between the FMUs of any
-master. The model is run forward over that sample and the input delay.
+The command from the reading at one sample leaves at the next, as on a rig and between the FMUs of any master. The model
+is run forward over that sample and the input delay.
 """
 
 # mypy: ignore-errors

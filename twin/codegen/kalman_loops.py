@@ -22,9 +22,9 @@ import numpy as np
 def believing(noise, now, c):
     """The covariance where a filter begins, with link and motor as one, in units of a reading's variance.
 
-    `c` (11,) holds the covariance of the link's position and velocity (xx, xv, vv), that of the motor's, those between
-    them (xx, xv, vx, vv), and the time of the last reading. `noise` (4,) holds the density of the torque noise, the
-    variances of position and velocity at the start, and the longest silence.
+    `c` (11,) holds the covariance of position and velocity: the link's (xx, xv, vv), the motor's, and that between them
+    (xx, xv, vx, vv). Its last element is the time of the last reading. `noise` (4,) holds the density of the torque
+    noise, the variances of position and velocity at the start, and the longest silence.
     """
     c[:] = 0.0
     c[0] = c[3] = c[6] = noise[1]
@@ -67,8 +67,8 @@ def spreading(c, h, damping, density, share, touching):
 
 
 def correcting(c, speed, of_motor, seen, gain):
-    """Fill `gain` (4,) for the link's and the motor's position and velocity; the variance of what the sensor, which is
-    the link's or the motor's, will read. The covariance learns from it if it is `seen`.
+    """Fill `gain` (4,) for the link's and the motor's position and velocity. Return the variance of the next reading of
+    the sensor, which is on the link or on the motor. The covariance learns from it if it is `seen`.
     """
     first = 1 if speed else 0
     if of_motor:

@@ -84,8 +84,8 @@ def scaling(squares, limit):
 
 
 def gathering(error, variance, limit, stretch, slopes, pulls, weights, read):
-    """Add what each reading says to that of its stretch: the slope of the log-likelihood to `pulls` (M, n), the lower
-    triangle of the information to `weights` (M, n, n), and one to `read` (M,).
+    """Add the contribution of each reading to that of its stretch. The slope of the log-likelihood goes to `pulls` (M,
+    n), the lower triangle of the information to `weights` (M, n, n), and one to `read` (M,).
 
     `error`, its `variance` and its `stretch` are (N,), `slopes` (N, n); what is not finite is no reading. Beyond
     `limit` standard deviations a reading has the weight of Huber's loss.

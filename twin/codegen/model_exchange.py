@@ -73,8 +73,8 @@ def left_over(torque, forward, reverse, mode):
 def margin(torque, forward, reverse, mode, velocity):
     """How far a body is within its mode: a velocity, or the torque that friction can still hold over what it holds.
 
-    Below zero the mode contradicts the motion. The hysteresis of 1e-9 is far above the rounding of a solver, which
-    stops a little before or behind the zero, and far below what can be measured.
+    Below zero the mode contradicts the motion. The hysteresis of 1e-9 is far below what can be measured. It is far
+    above the rounding of a solver, which stops a little before or behind the zero.
     """
     within = mode * velocity
     if mode == 0.0:

@@ -26,8 +26,8 @@ PRECISION = np.float32
 _NUMBER = ir.FloatType()
 _VECTOR = ir.VectorType(_NUMBER, WIDTH)
 _FLAGS = ("nnan", "ninf", "nsz", "contract", "reassoc")
-#: What is smaller is nothing: processors take single numbers near 1e-40 many times as long, and so would the products
-#: of this with what is small.
+#: Smaller numbers are set to zero: processors take many times as long for single-precision numbers near 1e-40. So would
+#: the products of such numbers with other small ones.
 FADED = 1e-25
 
 

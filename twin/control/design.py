@@ -1,9 +1,9 @@
 """From a model to a feedback-linearising tracking controller.
 
-The inverse of the model's own laws turns the axis into a chain of integrators. python-control places that chain's poles
-at the asked bandwidth, and designs the observer on the quantised encoder. The observer also estimates the torque that
-the model lacks: that is the integral action. It knows the command that was really given, so it does not wind up
-(Franklin, Powell, Workman, Digital Control of Dynamic Systems, 1998).
+The inverse of the model's own laws turns the axis into a chain of integrators. The library python-control places that
+chain's poles at the asked bandwidth, and designs the observer on the quantised encoder. The observer also estimates the
+torque that the model lacks: that is the integral action. It knows the command that was really given, so it does not
+wind up (Franklin, Powell, Workman, Digital Control of Dynamic Systems, 1998).
 """
 
 from __future__ import annotations
@@ -326,8 +326,8 @@ def _remarks(model: Model, controller: Controller) -> list[str]:
 def design(model: Model, bandwidth: float | None = None, limit: float | None = None) -> Controller:
     """The controller for a model. `bandwidth` in Hz (None: chosen), `limit` the largest command.
 
-    Raises BadInput for a bandwidth that the sample time, the delay or the loop's stability rule out, for an axis
-    that no command moves, and for a model whose input gain may as well be zero.
+    Raises BadInput for a bandwidth that the sample time, the delay or the loop's stability does not allow. Also for an
+    axis that no command moves, and for a model whose input gain may be zero.
     """
     _check_gain(model)
     try:

@@ -246,10 +246,10 @@ def command_noise(controller: Controller, reading_variance: float, torque_densit
 class Gap(control.DescribingFunctionNonlinearity):  # type: ignore[misc]
     """Describing function of a gap between two bodies, for the torque that crosses it.
 
-    After the torque A_T sin(phi) has turned, the motor (share s of the inertia) flies alone until it has
-    covered the gap g, at phi_1 with A (phi_1 - sin phi_1) = g, where A = A_T / (s w^2) is the amplitude of its
-    flight. It lands without rebound and hands over the momentum s w A (1 - cos phi_1); from there both move
-    as one. The fundamental of torque and impulse over A_T is a function of A / g alone.
+    The torque A_T sin(phi) changes sign. Then the motor (share s of the inertia) moves without contact until it has
+    covered the gap g. This is at phi_1 with A (phi_1 - sin phi_1) = g, where A = A_T / (s w^2) is the amplitude of that
+    motion. It lands without rebound and hands over the momentum s w A (1 - cos phi_1); from there both move as one. The
+    fundamental of torque and impulse over A_T is a function of A / g alone.
     """
 
     def __init__(self, gap: float) -> None:

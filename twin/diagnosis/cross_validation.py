@@ -3,9 +3,9 @@
 Twelve knots follow slow noise and gain more than their penalty by it. Where errors are correlated, every gain looks
 more certain than it is. So the values of an addition are fitted without one stretch of half a second in five. On the
 left-out stretches the larger model is compared with the smaller one (Stone, Cross-validatory choice, J. R. Stat. Soc. B
-36, 1974). The number of stretches with a gain counts, weighted by the rank of the gain, so that no stretch outvotes the
-rest (Wilcoxon, Individual comparisons by ranking methods, Biometrics Bulletin 1, 1945). For what acts in a few places
-only, none of the largest changes may be a loss.
+36, 1974). The test is the signed-rank test (Wilcoxon, Individual comparisons by ranking methods, Biometrics Bulletin 1,
+1945). It counts the stretches with a gain, weighted by the rank of the gain, so that no stretch outvotes the rest. For
+what acts in a few places only, none of the largest changes may be a loss.
 """
 
 from __future__ import annotations

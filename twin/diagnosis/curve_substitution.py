@@ -133,8 +133,8 @@ def substitute_curve(problem: FitProblem, first: Structure, last: Fit, variable:
         return None
     says = (
         f"{_titles(ids)} would fit in part, but a curve over the {_SPOKEN[variable]} that no known effect describes "
-        f"fits better by {model_comparison.gain(last, curve):.0f} units of deviance, "
-        f"where {thresholds.MIN_GAIN:.0f} would do."
+        f"fits better by {model_comparison.gain(last, curve):.0f} units of deviance. "
+        f"{thresholds.MIN_GAIN:.0f} are enough."
     )
     return Substitution(ids, curve, says)
 
@@ -204,9 +204,9 @@ def substitute_gain_wave(problem: FitProblem, first: Structure, last: Fit) -> Su
     if better < thresholds.MIN_GAIN or not is_plausible(problem, wave, last):
         return None
     says = (
-        f"{_titles(ids)} would fit in part, but a motor whose gain goes with the angle, which is more than a name of "
-        f"the list says, fits better by {better:.0f} units of deviance with as many numbers, where "
-        f"{thresholds.MIN_GAIN:.0f} would do."
+        f"{_titles(ids)} would fit in part, but a motor whose gain varies with the angle, which no known effect "
+        f"describes, fits better by {better:.0f} units of deviance with as many parameters. "
+        f"{thresholds.MIN_GAIN:.0f} are enough."
     )
     return Substitution(ids, wave, says)
 

@@ -220,13 +220,13 @@ def _curve_replaces_names(
     nothing.
 
     If the missing torque of neither model, `left`, depends on anything, the curve has to predict data that it was not
-    fitted to. If nothing is named and the missing torque of the first model clearly depends on something, a curve that
-    predicts such data need only pay its own penalty. Every real friction departs a little from its law, and a curve of
-    any shape follows it. But the curve lacks the rest of the law: for example, that this friction changes sign with the
-    motion. So names stay where they are found again beside the curve and each still improves the fit significantly. Dry
-    friction that leaves little also stays, alone or with a constant torque, where the curve is one over the speed. A
-    motor that varies over its turn acts like friction that varies, but is none. A ripple keeps its name from a curve
-    that is the same ripple with its overtones.
+    fitted to. The missing torque of the first model may clearly depend on something while nothing is named. A curve
+    that predicts left-out data then need only pay its own penalty. Every real friction departs a little from its law,
+    and a curve of any shape follows it. But the curve lacks the rest of the law: for example, that this friction
+    changes sign with the motion. So names stay where they are found again beside the curve and each still improves the
+    fit significantly. Dry friction that leaves little also stays, alone or with a constant torque, where the curve is
+    one over the speed. A motor that varies over its turn acts like friction that varies, but is none. A ripple keeps
+    its name from a curve that is the same ripple with its overtones.
     """
     if curve_substitution.is_ripple(found.last, nameless):
         return False
@@ -339,7 +339,7 @@ def _unearned(found: SearchResult, foreseen: tuple[FitProblem, Fit], first: Stru
     """
     idle = _idle_names(*foreseen, first)
     if idle:
-        reason = "with the longest memory that the model bears it is as likely without this effect"
+        reason = "with the longest filter memory that fits the model it is as likely without this effect"
         return [NotBorneOut(i, reason, 0.0) for i in idle]
     lesser = {i: [q for q in found.smaller_models if i not in q.structure] for i in found.last.structure.named}
     best = {i: min(fits, key=lambda q: q.deviance) for i, fits in lesser.items() if fits and i not in first}
@@ -356,8 +356,8 @@ def _unearned(found: SearchResult, foreseen: tuple[FitProblem, Fit], first: Stru
 def _drop_unearned_names(
     found: SearchResult, first: Structure
 ) -> tuple[SearchResult, tuple[FitProblem, Fit], list[NotBorneOut]]:
-    """The search without the names of its last model that fail a test, the last model with the longest memory that it
-    supports, and the names that failed.
+    """The search without the names of its last model that fail a test. The last model with the longest memory that it
+    supports. And the names that failed.
     """
     failed: list[NotBorneOut] = []
     while True:
@@ -513,7 +513,7 @@ def diagnose(
     lap("term without a name")
     # What was dropped may have come back in another's place.
     failed = [n for n in failed if n.id not in found.last.structure]
-    said += [f"Tried, not borne out: {EFFECTS[n.id].title}; {n.reason}." for n in failed]
+    said += [f"Tried, not confirmed: {EFFECTS[n.id].title}; {n.reason}." for n in failed]
     said += _unequal_dead_bands(found.last, recordings[0].input_unit)
     tell("fitting both models to the end", 0.87)
     judged, last_point = foreseen if found.last is seen else _fit_with_longest_memory(found)
@@ -602,8 +602,8 @@ def _remarks(found: SearchResult, fit: Mapping[str, Mapping[str, Fitness]]) -> l
         [found.last]
     ):
         said.append(
-            "The motor rattles in its gap so much that next to nothing, 1 % of the teeth's frequency, changes the "
-            "likelihood by more than an effect must earn, and effects may be hidden by that: record with fewer "
-            "reversals, larger ones, or a load that keeps the teeth together."
+            "The motor rattles in its gap: a change of only 1 % in the teeth's frequency moves the likelihood by more "
+            "than an effect must gain. Effects may be hidden by that: record with fewer reversals, larger ones, or a "
+            "load that keeps the teeth together."
         )
     return said

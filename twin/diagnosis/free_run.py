@@ -21,8 +21,8 @@ from twin.model.stepper import STATES, Structure
 
 FloatArray = NDArray[np.float64]
 
-#: The start of a free run is estimated from this many memories of the filter, from at least this many readings, with at
-#: most this many averages and in this many passes.
+#: Readings that the start of a free run is estimated from: memories of the filter, least number, most averages, and
+#: passes.
 _MEMORIES, _FEWEST_READ, _MOST_READ, _LOOKS = 6.0, 10, 100, 2
 #: Share of a variable's range by which it is moved to see how a torque goes with it.
 _MOVED = 1e-4

@@ -2,7 +2,7 @@
 
 The likeliest values of a model that lacks physics make a poor free run: gap and motor's share make up for what is
 missing within milliseconds. An improvement over that run would be overstated. So the first model is shown at its best
-free run through the fitted data, and the last one too where its likeliest values run worse than that.
+free run through the fitted data. So is the last one, where its likeliest values run worse than that.
 """
 
 from __future__ import annotations

@@ -37,8 +37,8 @@ _TURN = 2.0 * math.pi
 #: Number of rows of a local law that are tried: those that the missing torque follows best. Largest correlation of two
 #: of them, as a share of the best one's.
 _MAX_PLACES, _MAX_OVERLAP = 4, 0.8
-#: Number of the strongest lines of the missing torque that are tried, their least spacing as a share of their rate, and
-#: the rates that are tried in the width of one line.
+#: Number of the strongest lines of the missing torque that are tried. Their least spacing, as a share of their rate.
+#: Rates that are tried in the width of one line.
 _MAX_LINES, _MIN_LINE_SPACING, _RATES_PER_LINE = 3, 0.15, 4.0
 
 
@@ -419,7 +419,7 @@ def _direct_start(
     structure = structure_with(base.structure, effect)
     places = [values_with(base, structure, effect, clipped_to_bounds(t)) for t in trials]
     # A local optimum may be narrow, and a place beside it shows only its slopes. So the likeliest places are refined by
-    # a few steps before they are judged, and so is the likeliest one of every choice that no step changes.
+    # a few steps before they are judged. So is the likeliest one of every choice that no step changes.
     places.sort(key=lambda v: likelihood.evaluate(seen.at(base.process_noise), structure, v).deviance)
     first: dict[tuple[float, ...], dict[str, float]] = {}
     for place in places:

@@ -69,7 +69,7 @@ def veto_sentence(figures: Adequacy, last: Structure, first: Structure) -> str:
     where, compared = next((role, c) for role, c in figures.free_run.items() if is_worse(c))
     data = "held-out" if where == "holdout" else "fitted"
     return (
-        f"Tried, not borne out: {titles}. With it the free run on {data} data errs {compared.after.rmse:.3g} where the "
+        f"Tried, not confirmed: {titles}. With it the free run on {data} data errs {compared.after.rmse:.3g} where the "
         f"first model errs {compared.before.rmse:.3g}, so the first model is kept."
     )
 
@@ -150,25 +150,25 @@ def decide(figures: Adequacy, findings: Sequence[Finding], left: bool, drawn: bo
 
 
 _OPENINGS: Mapping[str, str] = {
-    "explained": "The figures bear the model out",
-    "nothing_missing": "The figures bear the first model out",
-    "partly_explained": "The figures bear out that what is named is there, not that it is all",
-    "unexplained": "The figures do not bear the model out",
+    "explained": "The figures support the model",
+    "nothing_missing": "The figures support the first model",
+    "partly_explained": "The figures support what is named, but not that it is all that is missing",
+    "unexplained": "The figures do not support the model",
     "inconclusive": "The figures allow no claim",
 }
 
 
 #: Where the fitted data themselves are not followed: names may help by standing for something else.
 _NOT_THE_CAUSE = (
-    "The figures do not bear out that what is named is the cause, although with it the free run through the fitted "
-    "data errs {} as much"
+    "The figures do not show that what is named is the cause, although with it the free run through the fitted data "
+    "errs {} as much"
 )
 
 
 #: The same where no figure speaks against the model, but something in it, or left by it, has no name.
 _WITHOUT_NAME: Mapping[str, str] = {
-    "partly_explained": "The figures bear out what is named, and something without a name beside it",
-    "unexplained": "The figures bear out that something is missing which has no name",
+    "partly_explained": "The figures support what is named, and something without a name beside it",
+    "unexplained": "The figures show that something without a name is missing",
 }
 
 

@@ -53,8 +53,8 @@ from twin.effects import (
 )
 from twin.effects.effect import Effect
 
-#: Every effect by id. Drive laws apply in this order: the command sags, is clipped, bent, loses its dead-band,
-#: and then is what the motor, warm as it is, makes of it at its angle.
+#: Every effect by id. Drive laws apply in this order: supply sag, saturation, bend of the command, dead-band. Then
+#: follows the motor's gain, at its temperature and angle.
 EFFECTS: Mapping[str, Effect] = {
     page.EFFECT.id: page.EFFECT
     for page in (

@@ -49,9 +49,9 @@ class Screen:
     """How to look for an effect before it is fitted.
 
     `gain` is the parameter whose neutral value switches the effect off. Where the law also has a phase or rest
-    position, `phase` names it, and `combine` turns how much of the law at phase zero there is, and how much of its
-    derivative by the phase, into (gain, phase). `grid` holds trial values of other parameters; where they depend on the
-    recording, `trials` gives them row by row. A law that acts at one place or time is `local`: it has many rows, and
+    position, `phase` names it. `combine` then makes (gain, phase) of two amounts: that of the law at phase zero, and
+    that of its derivative by the phase. `grid` holds trial values of other parameters; where they depend on the
+    recording, `trials` gives them row by row. A law that acts at one place or time is `local`. It has many rows, and
     those whose law best follows the missing torque are tried.
     """
 

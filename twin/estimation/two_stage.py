@@ -4,7 +4,7 @@ Stage 1: the steady speeds over all duties of the recording give q = b/c and the
 of the input, the stretch in which the gap is crossed is found and left out. In the rest, speed is a constant and one
 exponential, linear in all but b. So b is a bounded scalar search (variable projection, Golub and Pereyra, SIAM J.
 Numer. Anal. 10, 1973). The data are speeds (differences of readings, as printed in the paper) or the readings
-themselves, because one count between two samples is more speed than the axis has.
+themselves. The latter exist because one count between two samples is more speed than the axis has.
 
 The paper's signs: it adds delta to the duty (eq. 6). So delta is minus the forward dead-band when driving forwards, and
 plus the reverse dead-band when driving backwards.

@@ -81,7 +81,7 @@ def misfit(recording: Recording, ran: Replay, ahead: float | None = None, since:
         s; None for the free run itself.
     since
         s; what comes before is not judged. A position is then moved to the first reading that is judged, as for a free
-        run in a diagnosis: a lag that starts at rest amid the motion leaves a permanent offset.
+        run in a diagnosis. Without that, a lag that starts at rest amid the motion would leave a permanent offset.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Faults of a recording, as opposed to things that the axis really did.
 
 Each rule asks for something that no axis can do, not just for something unusual. A false fault costs more than a missed
-one, because a standstill from dry friction or an impact in the backlash is what we want to learn from.
+one: a standstill from dry friction or an impact in the backlash carries the information that we want.
 """
 
 from collections.abc import Sequence

@@ -65,10 +65,10 @@ class Loop:
 class Recording(Tabular):
     """One recording: input held from stamp to stamp, output as it was read. All arrays have shape (N,).
 
-    `output` is NaN where a reading is left out (`faults` says why); `input` is finite everywhere.
-    `resolution` is the size of one encoder count in `output_unit`, 0.0 when the output is not quantised.
-    `optional` holds motor_position (rad or m, NaN where left out), speed, current (A), supply (V),
-    temperature (K) and, with a loop, reference (output_unit), where the recording has them.
+    `output` is NaN where a reading is left out (`faults` says why); `input` is finite everywhere. `resolution` is the
+    size of one encoder count in `output_unit`, 0.0 when the output is not quantised. `optional` holds those that the
+    recording has of these: motor_position (rad or m, NaN where left out), speed, current (A), supply (V), temperature
+    (K) and, with a loop, reference (output_unit).
     """
 
     name: str

@@ -123,11 +123,11 @@ def read_rig(path: Path) -> Rig:
     """Read a rig file.
 
     Beyond the plain keys, a column may have `offset` and `scale` (value = (raw - offset) * scale, before the unit) and
-    `resolution` (one count, in the column's unit). For an input that is logged in timer ticks, `full_scale` gives the
-    ticks at full drive, in place of a unit: full_scale = 5299 makes 5299 ticks 100 %. [known] and the gains of [loop]
-    are numbers or names of manifest columns (or of scalars in a MAT file); `gain_scale` multiplies the gain.
-    `signed_bits` = 8, 16 or 32 gives a signed integer its sign back that was logged without it. Of a file without a
-    header `column` is a number, from 1.
+    `resolution` (one count, in the column's unit). For an input in timer ticks, `full_scale` gives the ticks at full
+    drive, in place of a unit. So full_scale = 5299 makes 5299 ticks 100 %. [known] and the gains of [loop] are numbers
+    or names of manifest columns (or of scalars in a MAT file); `gain_scale` multiplies the gain. `signed_bits` = 8, 16
+    or 32 gives a signed integer its sign back that was logged without it. Of a file without a header `column` is a
+    number, from 1.
 
     Raises BadInput for TOML that cannot be read, an unknown key, a wrong unit, or a value of the wrong kind.
     """

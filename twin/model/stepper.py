@@ -700,8 +700,8 @@ def piece(x, p, k, command, h):
 def step(x, p, k, command, h):
     """Move the axis by h under a constant command, from event to event.
 
-    Two bodies meet a handful of events in a step, and the hardest stop asks for some hundred pieces of it: the loop's
-    bound is never met in motion.
+    Two bodies have a handful of events in a step, and the hardest stop needs some hundred pieces of it. So the loop's
+    bound is never reached in motion.
     """
     remaining = h
     for _ in range(1024):

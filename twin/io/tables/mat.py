@@ -4,9 +4,9 @@ The v5 reader is our own because the usual one ends the process on some damaged 
 bytes that there are before it takes memory, and makes numbers only of what is asked for. Format: MathWorks, "MAT-File
 Format", chapter 1.
 
-Variables become columns by these rules, for every version: a vector is a column; a matrix is as many columns as its
-shorter side, `name(:,1)`, `name(:,2)` ...; a struct gives its fields, also nested ones, by their own names where these
-are unique, else as `log.t`; a cell array gives its members. A single number is a scalar.
+Variables become columns by these rules, for every version. A vector is a column. A matrix is as many columns as its
+shorter side, `name(:,1)`, `name(:,2)` ... A struct gives its fields, also nested ones, by their own names where these
+are unique, else as `log.t`. A cell array gives its members. A single number is a scalar.
 """
 
 import struct
