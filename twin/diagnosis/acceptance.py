@@ -47,7 +47,7 @@ def _too_small(problem: FitProblem, fit: Fit, first: Structure) -> Iterator[NotB
 
 
 def _impossible(problem: FitProblem, fit: Fit, first: Structure) -> Iterator[NotBorneOut]:
-    """The names whose values no machine has: a size or time constant at its bound, dry friction that pushes."""
+    """The names with impossible values: a size or time constant at its bound, or dry friction that pushes."""
     for name in _names(fit, first):
         size = _size_of(name)
         at = fit.values[size.name]
@@ -78,7 +78,7 @@ def _few_recordings(problem: FitProblem, fit: Fit, lesser: dict[str, Fit]) -> It
 
 
 def _no_help_ahead(problem: FitProblem, fit: Fit, lesser: dict[str, Fit]) -> Iterator[NotBorneOut]:
-    """The names with which predictions are worse on blocks that they were not fitted to, one second ahead or freely."""
+    """The names with worse predictions on left-out blocks, one second ahead or in the free run."""
     for name, without in lesser.items():
         for ahead, ratio in block_validation.error_ratios(problem, without, fit):
             if ratio > thresholds.MAX_ERROR_RATIO:

@@ -60,8 +60,8 @@ class Error:
 
 
 def _axes(point: Fit) -> FloatArray:
-    """The principal axes (n, n) of the parameters' uncertainty, one standard error long; what leaves no trace has
-    none."""
+    """The principal axes (n, n) of the parameters' uncertainty, one standard error long. Parameters that leave no trace
+    have none."""
     covariance = point.covariance
     known = np.isfinite(np.diag(covariance))
     inside = np.where(np.outer(known, known), covariance, 0.0)
@@ -156,7 +156,7 @@ def together(errors: Sequence[Error], was_fitted: bool) -> FreeRun:
 
 
 def at_own_noise(problem: FitProblem, point: Fit) -> Fit:
-    """The same model at the torque noise that makes the recordings likeliest, with its parameters' covariance there.
+    """The same model at its most likely torque noise, with its parameters' covariance there.
 
     A search judges at a noise of its own choice.
     """
@@ -205,7 +205,7 @@ class TorqueFigures:
 
 
 def _drive_torque(case: PreparedRecording, values: Mapping[str, float]) -> FloatArray:
-    """What the drive makes of the command (N,) beyond its dead-band and within its limit, as acceleration."""
+    """The drive's torque (N,) beyond its dead-band and within its limit, as acceleration."""
     u = case.drive.command
     ahead, behind = values.get("dead_band_forward", 0.0), values.get("dead_band_reverse", 0.0)
     acting = np.maximum(u - ahead, 0.0) - np.maximum(-u - behind, 0.0)

@@ -63,7 +63,7 @@ def without_blocks(problem: FitProblem, smaller: Fit, larger: Fit) -> Fit:
 
 
 def prediction_rmse(problem: FitProblem, point: Fit, ahead: float) -> float:
-    """RMSE in the blocks of predictions up to so many seconds ahead, or of free runs where that is infinite."""
+    """RMSE in the blocks, of predictions up to `ahead` seconds ahead. Where that is infinite, of free runs."""
     if math.isinf(ahead):
         return free_run_rmse(problem, point)
     squares, count = 0.0, 0
@@ -90,5 +90,5 @@ def error_ratios(problem: FitProblem, smaller: Fit, larger: Fit) -> list[tuple[f
 
 
 def improves(problem: FitProblem, smaller: Fit, larger: Fit) -> bool:
-    """Whether the larger model's free run through blocks that its own part was not fitted to is the better one."""
+    """Whether the larger model's free run is better on blocks that its own part was not fitted to."""
     return free_run_rmse(problem, without_blocks(problem, smaller, larger)) < free_run_rmse(problem, smaller)

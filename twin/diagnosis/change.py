@@ -282,7 +282,7 @@ def changes_sentence(changes: Changes) -> str:
 def _chosen(
     d: FloatArray, information: FloatArray, directions: Mapping[str, FloatArray], false_alarms: float
 ) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]]]:
-    """The fewest directions that are needed, the largest first; and for each what would have done about as well.
+    """The fewest directions that are needed, the largest first. And for each the alternatives that do about as well.
 
     All sets of up to `MOST_CHANGES` are tried: one cause that acts on several parameters is found only as a whole.
     """
@@ -316,7 +316,7 @@ def _change(
 ) -> Change:  # fmt: skip
     """A direction and its size with its standard error, put into words.
 
-    Where the inertia changed, too, what stands over it is no longer what either model holds: its torque is told.
+    Where the inertia changed, too, a torque over it differs from both models' values: the torque itself is reported.
     """
     size, std = found
     ends = (size - 1.96 * std, size + 1.96 * std)

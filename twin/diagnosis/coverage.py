@@ -31,7 +31,7 @@ _TURNS = 2.0 * math.pi
 
 @dataclass(frozen=True)
 class Beyond:
-    """A variable that leaves in the held-out part the range (least, largest) that it has in the fitted part."""
+    """A variable that leaves its fitted range (least, largest) in the held-out part."""
 
     variable: str
     train: tuple[float, float]
@@ -109,7 +109,7 @@ def later(train: Sequence[Recording], held_out: Sequence[RecordingPart]) -> list
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """What to hold out: where, what leaves the fitted range still, and what would have left it at the end."""
+    """The part to hold out, the variables that still leave the fitted range there, and those that would at the end."""
 
     where: Intervals
     untested: tuple[Beyond, ...]
@@ -139,7 +139,7 @@ def _range(one: Beyond) -> str:
 
 
 def sentences(choice: Choice) -> list[str]:
-    """What the choice has to be told for: that another part was held out, and what stays untested."""
+    """Sentences on the choice: that another part was held out, and what stays untested."""
     said = []
     if choice.where != END_PART and choice.at_end:
         part = "the middle was" if choice.where == MIDDLE_PART else "blocks all over the recording were"

@@ -1,4 +1,4 @@
-"""Named torques that something without a name stands for better, or one curve as well where they cancel each other.
+"""Named torques that a nameless curve replaces: it fits better, or as well where the names cancel each other.
 
 A spring that stiffens has no page. Over a short travel a linear spring describes most of it. Near the unstable
 equilibrium of gravity, a spring of the same strength leaves k (x - sin x), nearly k x^3 / 6. So the two together
@@ -46,7 +46,7 @@ WAVE_DIRECTIONS: Mapping[str, int] = {"unknown_angle": 1, "unknown_push": 2}
 
 @dataclass(frozen=True, eq=False)
 class Substitution:
-    """Effects of the last model, the model with something without a name instead, and why they are named no more."""
+    """Effects of the last model, the model with a nameless term in their place, and the reason."""
 
     ids: tuple[str, ...]
     curve: Fit
@@ -54,7 +54,7 @@ class Substitution:
 
 
 def _named_over(first: Structure, last: Structure, variable: str) -> tuple[str, ...]:
-    """What the last model names beyond the first that follows from the variable alone; a stop's damping does not."""
+    """The names of the last model beyond the first that depend on the variable alone. A stop's damping does not."""
     mine = (i for i in last.named if i in CANDIDATES and i not in first and EFFECTS[i].slot in CURVE_SLOTS[variable])
     return tuple(i for i in mine if equations.reads(i) <= {variable})
 
@@ -86,7 +86,7 @@ def _fit_curve_instead(problem: FitProblem, last: Fit, ids: Sequence[str], varia
 
 
 def _drop_idle_names(problem: FitProblem, first: Structure, curve: Fit, names: Sequence[str]) -> Fit:
-    """The model with a curve, less the names that do nothing beside it; what the first model has stays."""
+    """The model with a curve, without the names that do nothing beside it. The first model's effects stay."""
     for effect in names:
         structure = curve.structure.without(effect, *curve.structure.brought_by(effect, first))
         values = preparation.complete_values(structure, curve.values)
@@ -105,9 +105,10 @@ def _passed_values(problem: FitProblem, last: Fit, variable: str) -> FloatArray:
 
 
 def _departure(problem: FitProblem, last: Fit, curve: Fit, ids: Sequence[str], variable: str) -> float:
-    """By what share of what the names do, along the recordings, a curve over the variable departs from them.
+    """Deviation of a curve over the variable from the names' torque along the recordings, as a share of that torque.
 
-    A constant may be the dead-bands' as well, and a straight line over speed is viscous friction.
+    A constant is left out, since it may be the dead-bands'. So is a straight line over speed, which is viscous
+    friction.
     """
     x = _passed_values(problem, last, variable)
     named = _effect_torques(ids, last, x, variable).sum(axis=0)
@@ -217,7 +218,7 @@ def _effect_torques(ids: Sequence[str], point: Fit, at: FloatArray, variable: st
 
 
 def _remaining_stiffness(problem: FitProblem, last: Fit, ids: Sequence[str]) -> float:
-    """What these torques leave of their stiffness where they cancel most, as a share of what the second largest has."""
+    """The common stiffness of these torques where they cancel most, as a share of the second largest one's."""
     moved = _passed_values(problem, last, "position")
     at = np.linspace(moved.min(), moved.max(), len(moved))
     stiff = np.diff(_effect_torques(ids, last, at), axis=1)

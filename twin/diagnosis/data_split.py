@@ -24,7 +24,7 @@ _LEAD_TIME = (1.0, 5.0)
 
 @dataclass(frozen=True, eq=False)
 class RecordingPart:
-    """What is read from `begin` to `end` (s) of a recording, of which the rest only leads there."""
+    """The readings from `begin` to `end` (s) of a recording. The rest only leads there."""
 
     recording: Recording
     begin: float = 0.0

@@ -1,4 +1,4 @@
-"""From a first model and recordings to the diagnosis: search, judge, refit, show on data that nothing has seen."""
+"""From a first model and recordings to the diagnosis: search, judge, refit, and test on held-out data."""
 
 from __future__ import annotations
 
@@ -278,7 +278,7 @@ def _keep_or_replace(found: SearchResult, nameless: Fit) -> SearchResult:
 
 
 def _fit_names_beside_curve(found: SearchResult, nameless: Fit) -> Fit:
-    """What has no name, and the names grown from nothing beside it; by itself where nothing was named."""
+    """The nameless curve with the names fitted from zero beside it. The curve alone where nothing was named."""
     last, first = found.last, found.first
     both = nameless.structure.with_(*last.structure.ids)
     if both == nameless.structure:
@@ -396,7 +396,8 @@ def _next_experiment(found: SearchResult) -> Experiment:
 
 
 def _worst_recording(found: SearchResult) -> tuple[PreparedRecording, nonparametric.RemainingDependence]:
-    """The recording in which the first model lacks most, the longest if it lacks nothing, and what it lacks there."""
+    """The recording in which the first model lacks most, and what it lacks there. It is the longest if nothing is
+    missing."""
     judged = [
         (c, nonparametric.remaining_dependence(c, found.first.structure, found.first.values))
         for c in found.problem.recordings
@@ -407,7 +408,7 @@ def _worst_recording(found: SearchResult) -> tuple[PreparedRecording, nonparamet
 
 
 def _other_recordings_left(found: SearchResult, telling: PreparedRecording) -> list[str]:
-    """The recordings beside the telling one in which the last model lacks something that goes with something."""
+    """The other recordings in which the missing torque of the last model depends on a state of motion."""
     last, others = found.last, [c for c in found.problem.recordings if c is not telling]
     left = [(c, nonparametric.remaining_dependence(c, last.structure, last.values)) for c in others]
     return [c.recording.name for c, one in left if nonparametric.is_dependence_left(one)]
@@ -417,9 +418,9 @@ def _split_and_search(
     recordings: Sequence[Recording], first: Structure, held: Mapping[str, float], candidates: Sequence[str],
     progress: Progress | None,
 ) -> tuple[list[Recording], list[RecordingPart], SearchResult, list[str]]:  # fmt: skip
-    """What was fitted, what is held out, what was found, and sentences on what held-out data alone show.
+    """The fitted recordings, the held-out parts, the search, and sentences on physics that held-out data alone show.
 
-    Where the end of a lone recording shows what nothing before it can teach, the middle is held out instead.
+    Where the end of a lone recording shows physics that does not act before, the middle is held out instead.
     """
 
     def looked(where: Intervals) -> tuple[list[Recording], list[RecordingPart], SearchResult, list[str]]:

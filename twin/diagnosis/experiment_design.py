@@ -114,7 +114,7 @@ class _RigLimits:
 
 @dataclass(frozen=True, eq=False)
 class _Evidence:
-    """What a predictor makes of a signal: squared error, score (n,) and information (n, n) at its present values."""
+    """The predictor's result for a signal: squared error, score (n,) and information (n, n) at its present values."""
 
     squared: float
     score: FloatArray
@@ -141,7 +141,7 @@ class _Evidence:
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """What is taken to be true, and the rival that predicts, whose parameters have moved to `values`."""
+    """The model that is taken as true, and the rival that predicts, with its parameters at `values`."""
 
     truth: Fit
     rival: Fit
@@ -185,7 +185,7 @@ Shortfall = Callable[[Ledger], float]
 
 @dataclass(frozen=True, eq=False)
 class _SimulatedReading:
-    """What a truth would have us read, and how much larger its own predictor's squared errors are than it thinks."""
+    """Simulated readings of a truth, and the ratio of its own predictor's squared errors to their expected value."""
 
     case: PreparedRecording
     error_inflation: FloatArray  # (N,), no less than 1
@@ -199,7 +199,7 @@ class _SimulatedReading:
 
 @dataclass(frozen=True, eq=False)
 class _SimulatedSignal:
-    """A signal that keeps within the travel, what each pair's truth would have us read, and what the rivals say."""
+    """A signal that stays within the travel, the simulated readings of each pair's truth, and the rivals' evidence."""
 
     signal: Signal
     seen: tuple[_SimulatedReading, ...]
@@ -386,7 +386,7 @@ def _free_run(
 
 
 def _error_inflation(bench: _RigLimits, point: Fit, case: PreparedRecording, checks: NDArray[np.int_]) -> FloatArray:
-    """How much larger than it thinks the model's squared errors are on noisy recordings of itself, (N,), at least 1."""
+    """Ratio (N,) of the model's squared errors on noisy recordings of itself to their expected value, at least 1."""
     drive, p = case.drive, kernel.vector(point.structure, point.values)
     variance = bench.reading_variance * max(point.scale, 1e-12)
     shake = math.sqrt(point.process_noise * variance / bench.step) / max(
@@ -512,7 +512,7 @@ def _climb_rival(seen: _SimulatedReading, pair: _Pair) -> tuple[_Pair, float]:
 
 
 def _refit_rival(seen: _SimulatedReading, pair: _Pair) -> _Pair:
-    """The better of two climbs: from where the rival is, and from what it shares with the truth."""
+    """The better of two fits: from the rival's own values, and from those that it shares with the truth."""
     shared = {n: pair.truth.values.get(n, v) for n, v in pair.values.items()}
     climbs = [_climb_rival(seen, pair), _climb_rival(seen, replace(pair, values=shared))]
     return min(climbs, key=lambda c: c[1])[0]
@@ -555,7 +555,7 @@ def _feasible_blocks(bench: _RigLimits, pairs: Sequence[_Pair]) -> list[_Simulat
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """A signal so far, the rivals refitted to it, and what the present recordings and it say together."""
+    """The signal so far, the rivals refitted to it, and the evidence of it and the present recordings together."""
 
     pairs: tuple[_Pair, ...]
     ledger: tuple[_Evidence, ...]
@@ -643,7 +643,7 @@ def _acting_effects(point: Fit) -> set[str]:
 
 
 def _rival_pairs(rivals: Sequence[Fit]) -> list[_Pair]:
-    """The leader against each other rival, both ways; no truth is asked for that the rival contains."""
+    """The leader against each other rival, both ways. A truth that the rival contains is left out."""
     leader, both = rivals[0], []
     for other in rivals[1:_MAX_RIVALS]:
         for truth, rival in ((leader, other), (other, leader)):

@@ -227,7 +227,7 @@ def _narrow_rounds(problem: FitProblem, found: SearchResult, process_noise: floa
     own, was about as large as the winner's, or larger. It neither contains the winner nor is contained in it.
 
     A misleading effect may reduce the deviance most, since correlated innovations count the same evidence many times
-    over. None where the round was not won with the density that the search began with, or was won on credit.
+    over. None where the round was not won with the first noise density of the search, or only with a second effect.
     """
     this = found.rounds[0] if found.rounds else None
     if this is None or not this.won or this.before.process_noise < process_noise:
@@ -390,7 +390,8 @@ def _containing_alternatives(
     candidates: Sequence[str],
     rounds: Sequence[Round] = (),
 ) -> list[Alternative]:
-    """The last model with what contains one of its effects, and is as large, where that fits about as well.
+    """The last model with a wider effect of the same size in the place of one of its effects, where that fits about as
+    well.
 
     Dry friction that differs between the directions equals dry friction and a dead-band that is wider on one side,
     unless something moves without the drive. The simpler one is named, but the evidence for it is weak. Where the wider
@@ -524,7 +525,7 @@ def _with_better_fit(this: Round, found: Fit) -> Round:
 def _plain_winner(problem: FitProblem, this: Round) -> Fit:
     """The winner, or only what it brought along where that improves the fit significantly by itself.
 
-    What a specialised friction adds to plain friction then competes with everything else that may be beside it.
+    The extra part of a specialised friction then competes with all other candidates.
     """
     winner = this.rivals[0]
     kept = this.before.structure.with_(*EFFECTS[winner.added[0]].includes)
@@ -593,7 +594,7 @@ def _refit_alternatives(
     more: Sequence[str] = (),
     fewer: Sequence[str] = (),
 ) -> list[Alternative]:
-    """What could stand in the place of effects beside a last model that has gained some and lost others."""
+    """The alternatives, refitted to a last model that has gained some effects and lost others."""
     out = []
     for w in swaps:
         if w.rival in last.structure or w.effect not in last.structure:

@@ -70,7 +70,7 @@ def is_significant(before: Fit, after: Fit, doubt: float = 0.0) -> bool:
 
 
 def model_probabilities(criteria: Sequence[float]) -> FloatArray:
-    """Probabilities of rival structures from their criteria; what is short of one is left to what is none of them."""
+    """Probabilities of rival structures from their criteria. The rest to one is that of none of them."""
     c = np.asarray(criteria, dtype=float)
     c = np.where(np.isfinite(c), c, np.inf)
     odds = np.exp(-(c - c.min()) / (2.0 * thresholds.TEMPERATURE))

@@ -1,4 +1,4 @@
-"""Is there still structure in the missing torque, and a shape for it where no known effect describes it.
+"""Whether the missing torque still depends on a state, and a curve for it where no known effect describes it.
 
 What is missing may depend on any state of motion, alone or with another. For each the missing torque is predicted from
 its means over bins of that state, always on stretches that these means have not seen. The noise is correlated over the
@@ -104,7 +104,8 @@ _TABLE_VARIABLES: Mapping[str, tuple[str, ...]] = {
 
 
 def _averages(missing: MissingTorque) -> dict[str, FloatArray]:
-    """Torque and states in averages, and the way since the last reversal; stretches with unread torque are left out."""
+    """Averages of torque and states, and the travel since the last reversal. Stretches with unknown torque are left
+    out."""
     means = missing.averages()
     velocity = means["velocity"]
     turned = np.flatnonzero(np.diff(np.sign(velocity), prepend=np.sign(velocity[0])) != 0)
@@ -241,7 +242,7 @@ def remaining_dependence(
 
 
 def is_dependence_left(found: RemainingDependence) -> bool:
-    """Whether what is left counts: both sure and large enough not to be a rig's ordinary imperfection."""
+    """Whether the remaining dependence counts: it is significant, and larger than a rig's ordinary imperfection."""
     return found.p_value < thresholds.DEPENDENCE_MAX_P_VALUE and found.share >= thresholds.DEPENDENCE_MIN_SHARE
 
 
@@ -251,7 +252,7 @@ def share_removed(before: RemainingDependence, after: RemainingDependence) -> fl
 
 
 def is_described(named: bool, before: RemainingDependence, after: RemainingDependence) -> bool:
-    """Whether what depended on the state in the first model's missing torque is described, by names or as chance.
+    """Whether the dependence in the first model's missing torque is explained, by names or by chance.
 
     A name that leaves most of the missing torque where it was describes something else.
     """
@@ -347,7 +348,7 @@ def wave_parameters(effect: str) -> tuple[str, ...]:
 def _initial_waves(
     means: Mapping[str, FloatArray], term: CurveTerm, values: Mapping[str, float]
 ) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Values of the parameters of a term of waves to start from, and which of them are fitted."""
+    """Start values of the parameters of a term of waves, and which of them are fitted."""
     travel = max(float(np.ptp(means["position"])), 1e-9)
     order = max(term.order, _TURN / (_TRAVELS_PER_TURN * travel))
     phase, gain = order * means["position"], values["input_gain"]
@@ -511,7 +512,8 @@ def terms_of_table(table: str) -> list[CurveTerm]:
 
 
 def candidate_terms(found: RemainingDependence, most: int = 5) -> list[CurveTerm]:
-    """The terms worth fitting, the most telling first, with a share near the best; none where chance does as well."""
+    """The terms worth fitting, with a predicted share near the best one's, the best first. None where chance does as
+    well."""
     telling = (
         [d for d in found.dependences if d.share > 0.3 * found.share]
         if found.p_value < thresholds.DEPENDENCE_MAX_P_VALUE

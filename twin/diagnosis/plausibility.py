@@ -1,4 +1,4 @@
-"""Whether a fitted effect still is what its name says, or a fit that bent it into something else."""
+"""Whether the values of a fitted effect still agree with its name."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def _spectral_lines(
 
 
 def _heating_command(missing: MissingTorque, values: Mapping[str, float], span: float) -> float:
-    """The command that would heat a held motor as much as the recording does in the mean.
+    """The command that heats a held motor as much as the recording does in the mean.
 
     A motor that turns draws far less current than one that is held. In units of the largest command on a held motor, a
     fade of a sixth would be larger than any fade may be.
@@ -286,7 +286,7 @@ _MAX_CLOSE_STARTS, _FIRST_STEPS, _MORE_STEPS = 3, 2, 3
 
 @dataclass(frozen=True)
 class ScoreStart:
-    """Where a candidate would like to begin, and the gain in deviance that the score test promises."""
+    """Start values of a candidate, and the gain in deviance that the score test promises."""
 
     values: dict[str, float]  # of the whole model
     steps: dict[str, float]  # from there, to where the candidate would like to be and what follows it
@@ -441,7 +441,7 @@ def _direct_start(
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate at the start line, and the places from the likeliest of which a climb begins."""
+    """A candidate before its fit, and the places of which the likeliest is the start of the fit."""
 
     effect: str
     structure: Structure

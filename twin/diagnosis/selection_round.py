@@ -191,7 +191,7 @@ def _refit_deeper(problem: FitProblem, h: Hypothesis) -> list[Hypothesis]:
 def _fit_followers(
     problem: FitProblem, base: Fit, candidates: Sequence[str]
 ) -> list[Hypothesis]:  # fmt: skip
-    """The candidates that follow the missing torque best, fitted from where they do, on either side of the gap."""
+    """The candidates that follow the missing torque best, fitted from those values, on either side of the gap."""
     best = torque_regression.ranked_by_torque(problem, base, candidates)[: thresholds.MAX_FOLLOWERS]
     begun = [(f.effect, f.structure, place) for f in best for place in f.places]
     longer = base.structure.with_("constant_offset")
@@ -402,7 +402,7 @@ def retry_with_long_memory(problem: FitProblem, this: Round, candidates: Sequenc
 def _best_per_effect(
     problem: FitProblem, before: Fit, found: Sequence[Hypothesis]
 ) -> dict[tuple[str, ...], Hypothesis]:  # fmt: skip
-    """Of each effect its best fit; what is bent into something else must not oust what is still itself."""
+    """The best fit of each effect. An implausible fit must not replace a plausible one."""
     best: dict[tuple[str, ...], Hypothesis] = {}
     for h in found:
         best[h.added] = min(

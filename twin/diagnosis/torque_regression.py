@@ -71,7 +71,7 @@ def _size_parameters(base: Structure, effect: str) -> list[tuple[str, str]]:
 
 
 def _base_regressors(states: Mapping[str, FloatArray]) -> FloatArray:
-    """What gain, both sides of the dead-band and viscous friction add to the torque, per unit (N, 4)."""
+    """Regressors (N, 4) of gain, both sides of the dead-band and viscous friction: torque per unit."""
     command = states["input"]
     return np.stack([command, command > 0.0, command < 0.0, states["velocity"]], axis=1).astype(float)
 
@@ -79,7 +79,7 @@ def _base_regressors(states: Mapping[str, FloatArray]) -> FloatArray:
 def _effect_regressors(
     base: Structure, effect: str, row: Mapping[str, float], states: Mapping[str, FloatArray]
 ) -> FloatArray:
-    """What the effect and what it brings along add to the torque, per unit of their sizes and phases (N, sizes)."""
+    """Regressors (N, sizes) of the effect and of those that it includes: torque per unit of their sizes and phases."""
     against = {"grip": states["direction"], "mass": states["acceleration"]}
     found = []
     for i, gain in _size_parameters(base, effect):
@@ -173,9 +173,9 @@ def offset_starts(base: Fit, candidates: Sequence[str]) -> list[dict[str, float]
 
 
 def fit_to_free_motion(problem: FitProblem, base: Fit) -> Fit | None:
-    """The base with what it does where the axis moves freely, if that is to push several times as hard or as little.
+    """The base fitted to free motion of the axis, if its input gain there is several times larger or smaller.
 
-    What holds the axis, stops or dry friction, and is missing, leads a fit to a drive that does nothing.
+    Missing stops or dry friction hold the axis, and lead a fit to a drive that does nothing.
     """
     longest = max(problem.recordings, key=lambda c: c.drive.time[-1])
     missing = residual_torque.missing_torque(longest, base.structure, base.values)

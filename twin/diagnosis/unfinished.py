@@ -1,4 +1,4 @@
-"""What a search that was ended early leaves: its first model and its best one so far, beside the recordings."""
+"""The result of a search that was ended early: its first model and its best one so far, beside the recordings."""
 
 from __future__ import annotations
 

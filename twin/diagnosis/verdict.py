@@ -95,7 +95,7 @@ def _times(ratio: float) -> str:
 
 
 def objections(figures: Adequacy, findings: Sequence[Finding]) -> list[str]:
-    """What speaks against the claim that the model explains the recording, each as a part of a sentence."""
+    """Objections to the claim that the model explains the recording, each as a part of a sentence."""
     said = []
     train, held_out = figures.free_run.get("train"), figures.free_run.get("holdout")
     if train is not None and is_off(train.after, train.span):
