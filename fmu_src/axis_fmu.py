@@ -117,9 +117,6 @@ class Axis(Fmi2Slave):
 
     def enter_initialization_mode(self):
         self.begin()
-        if self.advance is advance:
-            why = "the compiled stepper does not load on this machine, or was never made"
-            self.log(f"{why}: it runs in Python, with the same numbers and slower", Fmi2Status.warning)
 
     def exit_initialization_mode(self):
         self.begin()

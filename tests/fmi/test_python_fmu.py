@@ -240,7 +240,6 @@ def test_a_compiled_stepper_is_inside_and_python_where_it_does_not_load(made, tm
         with running(open_fmu(fmu), ["duty"], NAMES) as instance:
             instance.start({"position_start": 0.4})
             rows.append(drive(instance, u))
-            assert [("it runs in Python" in said) for said in instance.said] == [True] * (kind == "list")
     assert apart(rows[0], rows[1]) < 1e-12 and np.array_equal(rows[1], rows[2])
 
 
