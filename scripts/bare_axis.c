@@ -16,6 +16,7 @@ typedef struct {
     size_t slot;
     double least, most;
     Settable settable;
+    int differentiable;
 } Variable;
 
 #include "model.h"
@@ -39,7 +40,7 @@ int main(int argc, char **argv)
                 step(slot + FIRST_STATE, slot + FIRST_PARAMETER, slot + FIRST_KNOWN, command[i], h);
         double took = (double)(clock() - begin) / CLOCKS_PER_SEC / count;
         if (took < best) best = took;
-        last = slot[FIRST_STATE] + sensor(slot[FIRST_STATE], slot + FIRST_PARAMETER);
+        last = slot[FIRST_STATE] + sensor(slot[FIRST_STATE], slot[FIRST_STATE + 2], slot + FIRST_PARAMETER);
     }
     fprintf(stderr, "%g\n", last); /* so that no compiler leaves the loop out */
     printf("%.17g\n", best);
