@@ -46,7 +46,6 @@ unit = "rpm"
 class Case:
     """One report: what was concealed, how the axis was driven, and what was done to the log."""
 
-    title: str
     effect: str  # "" is nothing
     size: float  # its torque over that of the drive at half duty
     amplitude: float  # %, of the largest command
@@ -63,12 +62,12 @@ def _spoiled(counts: Array) -> Array:
 
 
 CASES = {
-    "explained": Case("One effect, named", "gravity", 0.4, 60.0),
-    "nothing": Case("Nothing is missing", "", 0.0, 60.0),
-    "cannot-tell": Case("Two effects that do the same", "constant_offset", 0.12, 60.0),
-    "unknown": Case("Something without a name", "other_bump", 0.5, 60.0),
-    "faults": Case("A log with faults", "coulomb_friction", 0.2, 60.0, _spoiled),
-    "speed-only": Case("Only the speed was logged", "quadratic_drag", 0.4, 80.0),
+    "explained": Case("gravity", 0.4, 60.0),
+    "nothing": Case("", 0.0, 60.0),
+    "cannot-tell": Case("constant_offset", 0.12, 60.0),
+    "unknown": Case("other_bump", 0.5, 60.0),
+    "faults": Case("coulomb_friction", 0.2, 60.0, _spoiled),
+    "speed-only": Case("quadratic_drag", 0.4, 80.0),
 }
 
 

@@ -5,8 +5,8 @@
 
 Each rig holds one effect that acts in a stretch of time, in a range of angle, in a band of speed or in one direction,
 or it is sound. Every second one has no gap. The first model is fitted, and its missing torque is asked where it acts.
-The table holds the F1 score of the stamps that are reported, the share of rigs whose missing torque goes with the right
-variable, the error of the input gain, and the share of sound rigs in which something is reported.
+The table holds the F1 score of the stamps that are reported and the error of the input gain. It also holds the share of
+rigs whose missing torque goes with the right variable, and the share of sound rigs in which something is reported.
 """
 
 from __future__ import annotations

@@ -4,9 +4,9 @@
 
 One twin for each payload (mass and arm), made from the first repetition; each is held against recordings of the second
 repetition at every payload. Printed are the ratios of gravity's torque and of the inertia with their 95 % intervals.
-Beside them stand the ratios of the weighed masses. The servo's own inertia was not weighed: with none the inertia's
-ratio is that of the load, which is an upper bound; the other bound takes the motor's inertia that the authors of the
-recordings fitted. At the same payload nothing may be reported.
+Beside them stand the ratios of the weighed masses. The servo's own inertia was not weighed, so the
+inertia's ratio has two bounds. With no inertia of the servo it is the ratio of the loads. The other bound takes the
+motor's inertia that the authors of the recordings fitted. At the same payload nothing may be reported.
 """
 
 from __future__ import annotations

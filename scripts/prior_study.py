@@ -2,10 +2,10 @@
 
     python scripts/prior_study.py --units 6
 
-Siblings are rigs of the circuit simulator that differ from one another by a few percent in every number. Printed are
-the errors (root mean square over units, in percent of the truth) by parameter: of a short recording alone, of the
-short one with the prior of the siblings, and of a long one alone. Then the same parameter of a unit that is unlike its
-siblings, with and without the prior.
+Siblings are rigs of the circuit simulator that differ from one another by a few percent in every number. The errors are
+printed by parameter, as root mean square over units in percent of the truth. They are those of a short recording alone,
+of the short one with the prior of the siblings, and of a long one alone. Then comes the same parameter of a unit
+that is unlike its siblings, with and without the prior.
 """
 
 from __future__ import annotations

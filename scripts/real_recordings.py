@@ -2,11 +2,13 @@
 
     python scripts/real_recordings.py DATA_DIR [--set NAME] [--quick] [--markdown]
 
-For each set: the verdict, the effects with their numbers, the error of a free run over held-out recordings before
-and after, by the metric of the README beside the set, and that README's own figures. Free runs go through the
-exported FMU in FMPy. Then the same structure with the values that predict best over a whole recording
-(`twin identify --horizon`), where the set has a rig's own loop also under that, and what no model could do better:
-the floor, by a calculation. `--quick` takes a small part of each set and says so; `--markdown` prints one table.
+For each set it prints the verdict, the effects with their numbers, and the error of a free run over held-out
+recordings before and after. The metric is that of the README beside the set, whose own figures stand there, too. Free
+runs go through the exported FMU in FMPy. Then comes the same structure with the values that predict best over a whole
+recording (`twin identify --horizon`). Where the set has a rig's own loop, it is also run under that. Last comes the
+floor: a calculation of what no model could do better.
+
+`--quick` takes a small part of each set and says so; `--markdown` prints one table.
 """
 
 from __future__ import annotations

@@ -5,8 +5,9 @@
 
 Each trial follows one rig through a number of recordings. By default only the twin is fitted to a recording; the later
 fits are drawn from its errors around the truth, so that a thousand recordings take minutes. With `--recorded` every
-recording is simulated and fitted. A change is visible from the recording on at which its size, over the standard
-error of the difference between the mean of all fits so far since it began and the twin, is what the test asks for.
+recording is simulated and fitted. Since a change began, all fits so far are
+averaged and compared with the twin. The change is visible from the recording on at which its size, over the standard
+error of that difference, is what the test asks for.
 
 Printed are: histories whose change was reported within two recordings of that point, those with the right parameter,
 and the false alarms among all recordings before a change and in sound histories.

@@ -23,7 +23,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from twin.control.cosimulation import Tracking
-from twin.diagnosis.residual_torque import MissingTorque, Segment, TorqueShape, torque_shapes
+from twin.diagnosis.residual_torque import Segment, TorqueShape
 from twin.diagnosis.result import Diagnosis, Experiment, Trace
 from twin.display.numbers import unit_text
 from twin.estimation.two_stage import TwoStage
@@ -273,10 +273,10 @@ def missing_over_time(diagnosis: Diagnosis) -> str:
     return draw_svg(draw, WIDTH, 2.6, "Missing torque over time, before and after; the stretches of misfit are shaded")
 
 
-def left_over(missing: MissingTorque, stretches: Sequence[Segment], axis_unit: str) -> str:
+def left_over(diagnosis: Diagnosis, stretches: Sequence[Segment]) -> str:
     """The torque that the last model lacks: over time, and its mean over the variable that tells most of it."""
-    unit = unit_text(f"{axis_unit}/s^2")
-    shape = torque_shapes(missing)[0]
+    unit = unit_text(f"{diagnosis.after.axis_unit}/s^2")
+    missing, shape = diagnosis.missing_after, diagnosis.shapes_after[0]
 
     def draw(figure: Figure) -> None:
         over_time, over_state = figure.subplots(1, 2, width_ratios=(2.0, 1.0))

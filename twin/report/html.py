@@ -208,10 +208,11 @@ def _found(story: Story) -> str:
 
 def _still_missing(story: Story) -> str:
     d = story.diagnosis
-    says = wording.still_missing(d)
+    stretches = segments(d.missing_after)
+    says = wording.still_missing(d, stretches)
     if not says:
         return ""
-    drawn = figures.left_over(d.missing_after, segments(d.missing_after), d.after.axis_unit)
+    drawn = figures.left_over(d, stretches)
     where = f" along {escape(d.telling)}" if len(d.recordings) > 1 else ""
     caption = f"The torque that the last model lacks{where}; shaded, {_key('misfit', 'where most of it acts')}."
     return _section("still-missing", "What is still missing", _said(says), _figure(drawn, caption))

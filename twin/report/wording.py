@@ -6,12 +6,12 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from twin.diagnosis.residual_torque import segments, torque_shapes
 from twin.display.numbers import listed, number, percent, unit_text
 from twin.effects.catalogue import EFFECTS, UNKNOWN
 
 if TYPE_CHECKING:
     from twin.control.cosimulation import Tracking
+    from twin.diagnosis.residual_torque import Segment
     from twin.diagnosis.result import Diagnosis, Fitness, Undecided
     from twin.io.recording import Recording
     from twin.model.fitted_model import Model
@@ -114,19 +114,22 @@ def fit_sentence(diagnosis: Diagnosis) -> str:
     return "There were no readings to compare a simulation with."
 
 
-def still_missing(diagnosis: Diagnosis) -> str:
-    """How large the torque is that the last model lacks, what it goes with, and when it acts; "" where nothing is."""
+def still_missing(diagnosis: Diagnosis, stretches: Sequence[Segment]) -> str:
+    """How large the torque is that the last model lacks, what it goes with, and the stretches in which most of it acts;
+    "" where nothing is missing."""
     if diagnosis.verdict in ("explained", "nothing_missing"):
         return ""
-    figures, shapes = diagnosis.adequacy.missing_torque, torque_shapes(diagnosis.missing_after)
+    figures = diagnosis.adequacy.missing_torque
     if not math.isfinite(figures.after):
         return ""
     said = [f"{number(figures.after, 2)} {unit_text(figures.unit)} RMS of torque over inertia is still missing"]
     if math.isfinite(figures.of_drive):
         said.append(f"{percent(figures.of_drive)} of what the drive makes")
-    telling = [f"{VARIABLES[s.variable]} ({percent(s.share)})" for s in shapes[:3] if s.share >= LEAST_SHARE]
+    telling = [
+        f"{VARIABLES[s.variable]} ({percent(s.share)})" for s in diagnosis.shapes_after[:3] if s.share >= LEAST_SHARE
+    ]
     goes = f"It goes with {listed(telling)}" if telling else "It goes with no state of motion that was looked at"
-    worst = sorted(segments(diagnosis.missing_after), key=lambda s: -s.share)[:3]
+    worst = sorted(stretches, key=lambda s: -s.share)[:3]
     when = [f"{number(s.start)} to {number(s.end)} s" for s in sorted(worst, key=lambda s: s.start)]
     return f"{', '.join(said)}. {goes}. Most of it acts from {listed(when)}." if when else f"{', '.join(said)}. {goes}."
 
