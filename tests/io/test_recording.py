@@ -299,13 +299,29 @@ def test_obvious_names_are_recognised_and_said(tmp_path: Path, names: str, units
     (recording,), rig = load([path])
     assert (recording.input_unit, recording.output_unit) == units
     np.testing.assert_allclose(recording.time, TIME, atol=1e-9)
-    assert len(rig.assumed) == 3
-    assert all(f"'{name}'" in said for name, said in zip((t, u, y), rig.assumed, strict=True))
+    assert all(f"'{name}'" in said for name, said in zip((t, u, y), rig.assumed[:3], strict=True))
 
 
 def test_a_duty_of_at_most_one_is_a_fraction(tmp_path: Path) -> None:
     recording = load_one(tmp_path, {**COLUMNS, "duty": DUTY / 100}, rig=None)
     np.testing.assert_allclose(recording.input, DUTY)
+
+
+def test_a_duty_in_ticks_is_a_share_of_a_usual_timer(tmp_path: Path) -> None:
+    write_csv(tmp_path / "log.csv", {**COLUMNS, "duty": np.round(DUTY * 25.5)})
+    (recording,), rig = load([tmp_path / "log.csv"])
+    np.testing.assert_allclose(recording.input, np.round(DUTY * 25.5) / 10.23)
+    assert any("full drive is taken for 1023" in said for said in rig.assumed)
+
+
+def test_an_axis_of_unknown_counts_per_revolution_is_in_counts(tmp_path: Path) -> None:
+    counts = np.round(ANGLE * 1000)
+    (tmp_path / "rig.toml").write_text(
+        '[input]\ncolumn = "duty"\nunit = "%"\n[output]\ncolumn = "counts"\nunit = "count"\nscale = -1\n'
+    )
+    (recording,), _ = load([write_csv(tmp_path / "log.csv", {"t": TIME, "duty": DUTY, "counts": counts})])
+    np.testing.assert_array_equal(recording.output, -counts)
+    assert (recording.output_unit, recording.resolution, recording.is_angle) == ("count", 1.0, False)
 
 
 def write_parquet(path: Path) -> None:

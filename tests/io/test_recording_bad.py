@@ -108,7 +108,12 @@ def test_a_recording_that_cannot_be_used(tmp_path: Path, log: bytes | str, words
         ('unit = "rad"', 'unit = "furlong"', ["[output]", "furlong", '"rad", "deg", "rev", "count", "m", "mm"']),
         ('unit = "%"', 'unit = "percent"', ["[input]", "percent", '"%", "1", "V", "A", "N*m", "N"']),
         ('unit = "rad"', "", ["[output]", "unit is missing"]),
-        ('unit = "rad"', 'unit = "count"', ["counts_per_revolution"]),
+        ('unit = "rad"', 'unit = "count"\n[known]\ninertia = 1', ["inertia", "counts_per_revolution in [output]"]),
+        (
+            'unit = "rad"',
+            'unit = "count"\n[optional.speed]\ncolumn = "t"\nunit = "rpm"',
+            ["counts_per_revolution in [o"],
+        ),
         ('unit = "rad"', 'unit = "count"\ncounts_per_revolution = 0', ["greater than 0"]),
         ('column = "pos"', 'colum = "pos"', ["unknown key 'colum'", "did you mean 'column'"]),
         ("[output]", "[outptu]", ["unknown key 'outptu'", "did you mean 'output'"]),
@@ -196,10 +201,8 @@ def test_a_rig_file_that_is_no_text(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("header", "words"),
     [
-        ("a,duty,pos", "no column looks like time"),
         ("t,b,pos", "no column looks like the input"),
         ("t,duty,c", "no column looks like the output"),
-        ("t,duty,counts", "counts_per_revolution"),
     ],
 )
 def test_columns_that_cannot_be_guessed(tmp_path: Path, header: str, words: str) -> None:
@@ -208,9 +211,9 @@ def test_columns_that_cannot_be_guessed(tmp_path: Path, header: str, words: str)
         load([tmp_path / "log.csv"])
 
 
-def test_a_duty_in_ticks_is_not_taken_for_percent(tmp_path: Path) -> None:
-    (tmp_path / "log.csv").write_text(csv([line.replace(",10,", ",1023,") for line in rows()]))
-    with pytest.raises(BadInput, match=r"reaches 1023.*full_scale"):
+def test_a_log_without_stamps_needs_the_sample_time(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("\n".join(["duty,pos", *(row.split(",", 1)[1] for row in rows())]))
+    with pytest.raises(BadInput, match=r"no column looks like time.*sample_time"):
         load([tmp_path / "log.csv"])
 
 

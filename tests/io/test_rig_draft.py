@@ -28,7 +28,7 @@ def write(folder: Path, columns: dict[str, np.ndarray]) -> Path:
 @pytest.mark.parametrize(
     ("columns", "holds"),
     [
-        ({"t": TIME, "duty": DUTY, "counts": COUNTS}, ['column = "duty"', 'unit = "%"', "_per_revolution = 4096"]),
+        ({"t": TIME, "duty": DUTY, "counts": COUNTS}, ['column = "duty"', 'unit = "%"', 'unit = "count"']),
         ({"millis": TIME * 1e3, "u": DUTY / 100, "pos_deg": np.rad2deg(ANGLE)}, ['"ms"', 'unit = "1"', 'unit = "deg"']),
         ({"t_us": TIME * 1e6, "goal": ANGLE, "command": ANGLE, "pwm": np.round(DUTY * 2.55), "enc": -COUNTS},
          ['"us"', 'column = "pwm"', "full_scale = 255", "scale = -1", "'goal' looks like a reference"]),
@@ -63,4 +63,4 @@ def test_a_rig_file_that_is_there_stays(tmp_path: Path) -> None:
 
 def test_a_log_without_a_drive_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="no column looks like the input"):
-        draft(write(tmp_path, {"t": TIME, "goal": ANGLE, "counts": COUNTS}))
+        draft([write(tmp_path, {"t": TIME, "goal": ANGLE, "counts": COUNTS})])

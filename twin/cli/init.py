@@ -14,17 +14,17 @@ def _init(args: argparse.Namespace) -> int:
     check_outputs(args, out)
     from twin.io import files, rig_draft
 
-    found = rig_draft.draft(args.log[0])
+    found = rig_draft.draft(args.log)
     files.put(out, found.text)
     said = [f"{out} says what the columns of {args.log[0]} are.", *(f"Check: {u}." for u in found.unsure)]
-    said.append(f"Next: twin identify {args.log[0]} --rig {out} --out model.toml")
+    said.append(f"Next: twin identify {' '.join(map(str, args.log))} --rig {out} --out model.toml")
     answer = {"format": "twin-init/1", "rig": str(out), "text": found.text, "unsure": list(found.unsure)}
     answer_user(args, said, answer)
     return 0
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("log", nargs=1, type=Path, metavar="LOG", help="a recording")
+    parser.add_argument("log", nargs="+", type=Path, metavar="LOG", help="recordings, or a manifest")
     parser.add_argument("--out", type=Path, metavar="RIG.toml", help="what is written; default: rig.toml beside LOG")
 
 

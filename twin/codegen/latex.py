@@ -116,7 +116,7 @@ _ARGUMENTS = {
 }
 #: A law with more parameters than this is a table; it is written as a function of what it reads.
 _MOST = 6
-_COORDINATES = {"rad": r"\theta", "m": "x"}
+_COORDINATES = {"rad": r"\theta", "m": "x", "count": "n"}
 
 
 @dataclass(frozen=True)

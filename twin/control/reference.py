@@ -20,7 +20,7 @@ from twin.io.units import POSITION_UNITS, SPEED_UNITS, TIME_UNITS, Units
 
 FloatArray = NDArray[np.floating[Any]]
 KINDS = ("minimum-jerk", "sine", "step")
-TRAVEL = {"rad": 1.0, "m": 0.1}  # unless an amplitude is given
+TRAVEL = {"rad": 1.0, "m": 0.1, "count": 500.0}  # unless an amplitude is given
 _ACCELERATION_UNITS: Units = {f"{u}/s": (f"{kept}^2", factor) for u, (kept, factor) in SPEED_UNITS.items()} | {
     f"{unit}^2": (f"{kept}^2", factor) for unit, (kept, factor) in SPEED_UNITS.items()
 }
@@ -200,7 +200,9 @@ def _find_columns(table: Table, axis_unit: str) -> tuple[dict[str, str], dict[st
                 continue
             unit = unit or table.units.get(column) or kept
             converted, factor = units.get(unit, ("", 1.0))
-            if converted != kept or unit.startswith("count"):
+            if unit == kept:
+                factor = 1.0
+            elif converted != kept or unit.startswith("count"):
                 raise BadInput(
                     f"{table.name}: column '{column}' is in {unit}, the controller's {wanted} in {kept}: convert it, "
                     "or correct the unit behind its name"

@@ -63,7 +63,7 @@ def variables(recording: Recording) -> dict[str, FloatArray]:
     """
     read = np.isfinite(recording.output)
     found = {"input": command_of(recording), "velocity": _speed(recording)}
-    around = not recording.output_unit.startswith("m") and np.ptp(recording.output[read]) > _TURNS
+    around = recording.is_angle and np.ptp(recording.output[read]) > _TURNS
     if not recording.is_speed and not around:
         found["position"] = recording.output
     found |= {n: recording.optional[n] for n in ("supply", "temperature") if n in recording.optional}

@@ -527,7 +527,7 @@ def _blocks(bench: _RigLimits, point: Fit) -> dict[str, list[Signal]]:
     lost = min(dead + values.get("coulomb_friction", 0.0) / max(gain, 1e-12), 0.8 * most)
     pace = min(max(1.0 / friction, 0.25), 1.0)
     span = bench.band[1] - bench.band[0]
-    way = min(2.0 * math.pi, span) if bench.template.output_unit.startswith("rad") else span
+    way = min(2.0 * math.pi, span) if bench.template.is_angle else span
     turn = min(way / max(0.5 * gain * (most - lost) / friction, 1e-12), 4.0)
     out: dict[str, list[Signal]] = {}
     for name, signal in library(lost, most, pace, turn).items():
@@ -757,7 +757,7 @@ def design_for_precision(point: Fit, cases: Sequence[PreparedRecording], limits:
     plan = _compose_signal(bench, [pair], shortfall)
     name = point.free[int(sought[worst])]
     parameters = {p.name: p for p in point.structure.parameters}
-    axis = "rad" if bench.template.output_unit.startswith("rad") else "m"
+    axis = bench.template.output_unit.removesuffix("/s")
 
     def unit_of(name: str) -> str:
         unit = parameters[name].unit_for(axis, bench.template.input_unit)

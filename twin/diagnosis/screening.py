@@ -174,7 +174,7 @@ def trial_grids(
         # A ripple has to repeat within the travel. On more than half a turn it repeats a whole number of times per
         # turn.
         least = MIN_REPEATS * _TURN / travel
-        turning = not longest.recording.output_unit.startswith("m") and travel > 3.0
+        turning = longest.recording.is_angle and travel > 3.0
         circle, most = (_TURN, 60.0) if turning else (_RATES_PER_LINE * travel, 45.0 * least)
         # A wave over the motor's angle has another phase over the link's when the motor pushes from the other side of
         # its gap.
@@ -263,7 +263,7 @@ def testable_candidates(problem: FitProblem, candidates: Sequence[str]) -> list[
     first = problem.recordings[0].recording
     readings = [c.drive.measured for c in problem.recordings]
     out: set[str] = set()
-    if first.output_unit.startswith("m"):
+    if not first.is_angle:
         out.update(_NEEDS_TURN)
     if not first.is_speed:
         travel = max(float(np.nanmax(y) - np.nanmin(y)) for y in readings)

@@ -27,7 +27,7 @@ class Parameter:
     acts_on: str = ""
 
     def unit_for(self, axis: str, drive: str) -> str:
-        """The unit on a given rig: `axis` is "rad" or "m", `drive` the unit of the input."""
+        """The unit on a given rig: `axis` is "rad", "m" or "count", `drive` the unit of the input."""
         unit = self.unit.format(x=axis, u=drive)
         return "1" if unit == "rad/rad" else unit
 

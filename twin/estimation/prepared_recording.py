@@ -44,8 +44,7 @@ class PreparedRecording:
     def recorded(self) -> Recorded:
         """What a page may know of the recording: its length and travel."""
         lowest, highest = float(np.min(self.positions)), float(np.max(self.positions))
-        turns = not self.recording.output_unit.startswith("m")
-        return Recorded(float(self.drive.time[-1]), lowest, highest - lowest, turns)
+        return Recorded(float(self.drive.time[-1]), lowest, highest - lowest, self.recording.is_angle)
 
     @cached_property
     def resting(self) -> NDArray[np.bool_]:

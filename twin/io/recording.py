@@ -21,7 +21,8 @@ from twin.io.preflight.checks import examine, reversed_alone, slow_sensor
 from twin.io.preflight.finding import Finding, Severity
 from twin.io.preflight.response import Signals
 from twin.io.preflight.standing import Columns, contradicted
-from twin.io.rig_file import Clock, Column, Direction, LoopRig, Rig, guess_rig, guess_time, read_rig
+from twin.io.rig_file import Clock, Column, Direction, LoopRig, Rig, guess_time, read_rig
+from twin.io.rig_guess import Guess, guess
 from twin.io.tables.formats import open_tables
 from twin.io.tables.table import Table, listing
 
@@ -39,6 +40,8 @@ _FULL, _PAUSE = 1e4, 1e5
 #: So many recordings that move tell which column is a speed.
 _WITNESSES = 3
 _NOMINAL = "supply_nominal"
+#: What a radian at the gears makes of each unit of the output: the radius of a usual pinion, m, and an encoder of 4096.
+_LEVERS = {"rad": 1.0, "m": 0.02, "count": 4096 / (2 * math.pi)}
 _NO_HEADER = " (the file has no header: a column is named by its number, from 1)"
 #: Known quantities that mean something to twin; others may be there for the gains of a loop.
 MEANT = ("inertia", "mass", _NOMINAL, "payload_mass", "arm_length", "arm_mass", "payload_inertia", "payload_moment")
@@ -76,7 +79,7 @@ class Recording(Tabular):
     input: FloatArray
     output: FloatArray
     input_unit: str  # "%", "V", "A", "N*m", "N"
-    output_unit: str  # "rad", "m", "rad/s", "m/s"
+    output_unit: str  # "rad", "m", "count", "rad/s", "m/s", "count/s"
     resolution: float = 0.0
     role: str = "train"  # "train" | "holdout"
     known: Mapping[str, float] = field(default_factory=dict)
@@ -123,9 +126,14 @@ class Recording(Tabular):
         return self.output_unit.endswith("/s")
 
     @property
+    def is_angle(self) -> bool:
+        """True when the output is an angle or its rate: only then can a law repeat with each turn."""
+        return self.output_unit.startswith("rad")
+
+    @property
     def lever(self) -> float:
-        """What a radian at the gears makes at the output: 1 on a turning axis, else about the radius of a pinion, m."""
-        return 0.02 if self.output_unit.startswith("m") else 1.0
+        """About what a radian at the gears makes at the output: where fits begin to look for a gap."""
+        return _LEVERS[self.output_unit.removesuffix("/s")]
 
     def part(self, start: float, end: float) -> "Recording":
         """The samples from `start` to `end` (s, both included), with time from 0 again.
@@ -286,20 +294,38 @@ def load_entries(entries: Sequence[Entry], rig: Path | None = None) -> tuple[lis
     return _load(told, chosen)
 
 
+def guess_of(entries: Sequence[Entry]) -> Guess:
+    """What the columns of these recordings are, by their names and values. Raises BadInput where none can be told."""
+    return guess(*(table for path in dict.fromkeys(e.path for e in entries) for table in open_tables(path)))
+
+
+def load_guessed(entries: Sequence[Entry], guessed: Guess) -> tuple[list[Recording], Rig]:
+    """The recordings as the guess says, which is corrected by what the checks before a fit find. Raises BadInput."""
+    while True:
+        rig = guessed.rig(str(entries[0].path))
+        try:
+            recordings, rig = _load(entries, rig)
+        except BadInput as error:
+            if not guessed.mend_refusal(error):
+                raise
+            continue
+        if not guessed.mend([f for r in recordings for f in r.preflight]):
+            return recordings, rig
+
+
 def _load(entries: Sequence[Entry], chosen: Rig | None) -> tuple[list[Recording], Rig]:
     """The recordings of these entries, read with one rig file, or with a guess where there is none."""
+    if chosen is None:
+        return load_guessed(entries, guess_of(entries))
     opened: dict[Path, list[Table]] = {}
     recordings, sources = [], []
     for entry in entries:
         tables = opened.get(entry.path) or open_tables(entry.path)
         opened = {entry.path: tables}  # windows of one file stand together in a manifest
         for table in _tests(tables, entry):
-            if chosen is None:
-                chosen = _guess(table)
             joined = join_files(table, chosen, entry.path, _clock(table, chosen.time))
             recordings.append(_recording(*joined, entry))
             sources.append((entry.path, table.test))
-    assert chosen is not None
     recordings = _without_standing(recordings, sources, chosen)
     _check_moves(recordings)
     return _examined(_share_supply(_share_resolution(recordings, chosen.output.resolution)), chosen), chosen
@@ -390,13 +416,6 @@ def _check_one_rig(paths: Sequence[Path]) -> None:
     for other in files[1:]:
         if other.read_bytes() != files[0].read_bytes():
             raise BadInput(f"{files[0]} and {other} differ: name the one that holds for all recordings with `rig`")
-
-
-def _guess(table: Table) -> Rig:
-    rig = guess_rig(table.name, table.names, table.clock is not None, {}, table.units)
-    (drive,) = table.columns([rig.input.name])
-    peak = float(np.nanmax(np.abs(drive), initial=0.0))
-    return guess_rig(table.name, table.names, table.clock is not None, {rig.input.name: peak}, table.units)
 
 
 def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
@@ -632,6 +651,11 @@ def _known(rig: Rig, table: Table, entry: Entry) -> dict[str, float]:
         near = [] if key in MEANT else get_close_matches(key, MEANT, 1, 0.85)
         if near:
             raise BadInput(f"{said}: unknown quantity '{key}'; did you mean '{near[0]}'?")
+        if key in MEANT and key != _NOMINAL and rig.output.unit.startswith("count"):
+            raise BadInput(
+                f"{said}: {key} says nothing of an axis in counts; give counts_per_revolution in [output] of the rig "
+                "file"
+            )
         if value < 0.0 and key in MEANT and key != "payload_moment":
             raise BadInput(f"{said}: {key} = {value:g} must not be negative")
     return known

@@ -1,25 +1,23 @@
 """What the columns of a recording are: the rig file (rig.toml), or a guess from the column names.
 
 Every unit that a user may write is converted to one of `%, V, A, N*m, N` for the input and one of
-`rad, m, rad/s, m/s` for the output. What the user writes is `value = (raw - offset) * scale`, in `unit`.
+`rad, m, count, rad/s, m/s, count/s` for the output. What the user writes is `value = (raw - offset) * scale`, in
+`unit`. An axis is in counts where the counts per revolution are not known.
 """
 
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from twin.errors import BadInput
-from twin.io.tables.table import listing
 from twin.io.toml import check_keys, parse_toml
 from twin.io.units import (
     INPUT_UNITS,
     OPTIONAL_UNITS,
     OUTPUT_UNITS,
-    POSITION_UNITS,
-    SPEED_UNITS,
     TIME_UNITS,
     ZERO_CELSIUS,
     Units,
@@ -116,6 +114,7 @@ class Rig:
         )
 
 
+_MOTIONS = ("motor_position", "speed")  # optional columns that are motions of the axis
 _ELSEWHERE = ("file", "time_column", "time_unit")  # keys of a column that may lie in another file
 
 
@@ -144,10 +143,11 @@ def read_rig(path: Path) -> Rig:
         table = parse_toml(text)
     except ValueError as error:
         raise BadInput(f"{path}: not valid TOML: {error}; mend that line") from None
-    return _rig(table, str(path))
+    return rig_of(table, str(path))
 
 
-def _rig(table: Mapping[str, Any], where: str) -> Rig:
+def rig_of(table: Mapping[str, Any], where: str) -> Rig:
+    """The rig that the tables of a rig file describe; `where` names it in messages. Raises BadInput."""
     check_keys(where, table, ("time", "input", "output", "optional", "known", "loop", "structure"))
     for key in ("input", "output"):
         if key not in table:
@@ -165,7 +165,7 @@ def _rig(table: Mapping[str, Any], where: str) -> Rig:
     if not isinstance(effects, list) or not all(isinstance(e, str) for e in effects):
         raise BadInput(f'{where} [structure]: effects = {effects!r} must be a list of names, such as ["gravity"]')
     drive, reading = _table(table, "input", where), _table(table, "output", where)
-    return Rig(
+    rig = Rig(
         name=where,
         time=_clock(_table(table, "time", where), f"{where} [time]"),
         input=_column(drive, INPUT_UNITS, f"{where} [input]", ("full_scale", "direction", *_ELSEWHERE)),
@@ -184,6 +184,21 @@ def _rig(table: Mapping[str, Any], where: str) -> Rig:
         loop=_loop(_table(table, "loop", where), f"{where} [loop]") if "loop" in table else None,
         effects=tuple(effects),
     )
+    _check_one_axis_unit(rig)
+    return rig
+
+
+def _check_one_axis_unit(rig: Rig) -> None:
+    """Raises BadInput where a motion beside the output cannot be compared with it, as one is in counts."""
+    axis = rig.output.unit.removesuffix("/s")
+    units = {key: rig.optional[key].unit.removesuffix("/s") for key in _MOTIONS if key in rig.optional}
+    for key, unit in units.items():
+        if unit != axis and "count" in (unit, axis):
+            place = "[output]" if axis == "count" else f"[optional.{key}]"
+            raise BadInput(
+                f"{rig.name}: [output] is in {axis} and [optional.{key}] in {unit}: give counts_per_revolution in "
+                f"{place}"
+            )
 
 
 def _clock(table: Mapping[str, Any], where: str) -> Clock:
@@ -217,9 +232,7 @@ def _column(table: Mapping[str, Any], units: Units, where: str, more: Sequence[s
     if per_revolution is not None and per_revolution <= 0:
         raise BadInput(f"{where}: counts_per_revolution = {per_revolution:g} must be greater than 0")
     if written in ("count", "count/s"):
-        if per_revolution is None:
-            raise BadInput(f'{where}: unit = "{written}" needs counts_per_revolution (after quadrature)')
-        factor /= per_revolution
+        unit, factor = (written, 1.0) if per_revolution is None else (unit, factor / per_revolution)
     bits = _number(table, "signed_bits", where) if "signed_bits" in table else 0
     if bits not in (0, 8, 16, 32):
         raise BadInput(f"{where}: signed_bits = {bits:g} is no width of an integer; give 8, 16 or 32")
@@ -380,37 +393,6 @@ _LOOKED_AT = 2000  # columns among which obvious names are looked for
 
 # Column names that mean the same thing wherever we have seen them, best first.
 _TIME_NAMES = ("t", "time", "timestamp", "times", "seconds", "clock")
-_INPUT_NAMES = {
-    "duty": "%",
-    "dutycycle": "%",
-    "pwm": "%",
-    "commandedpwm": "%",
-    "voltage": "V",
-    "volts": "V",
-    "vir": "V",
-    "torque": "N*m",
-    "tau": "N*m",
-    "force": "N",
-    "current": "A",
-    "input": "%",
-    "u": "%",
-    "command": "%",  # the last: beside a drive it is the reference of a loop
-}
-_POSITION_NAMES = (
-    "counts",
-    "count",
-    "encoder",
-    "position",
-    "pos",
-    "theta",
-    "angle",
-    "qm",
-    "q",
-    "phi",
-    "y",
-    "output",
-)
-_SPEED_NAMES = ("speed", "velocity", "omega", "motorspeed", "vel")
 _BRACKETED = re.compile(r"^(.*?)[\s_]*[(\[]\s*([^)\]]+?)\s*[)\]]$")
 _SUFFIXED = re.compile(
     r"^(.+?)[_ ](rad_s|radps|rad/s|deg_s|deg/s|dps|rev/s|rps|counts?/s|mm_s|mm/s|m_s|m/s|mps|rpm|rad|deg|rev|counts?"
@@ -449,52 +431,3 @@ def guess_time(names: Sequence[str], units: Mapping[str, str]) -> Clock | None:
     """The clock, from the names of the columns and the units that the file gives; None when no name says time."""
     found = _pick(names, _TIME_NAMES, TIME_UNITS, units)
     return None if found is None else Clock(found[0], TIME_UNITS[found[2] or "s"][1])
-
-
-def guess_rig(
-    name: str, names: Sequence[str], has_clock: bool, duty_peak: Mapping[str, float], units: Mapping[str, str]
-) -> Rig:
-    """A rig from obvious column names, for a recording that comes without a rig file.
-
-    `name`: file name for messages; `names`: its columns; `has_clock`: the format brings its own stamps;
-    `duty_peak`: largest absolute value per column, to tell a duty of 0..1 from one of 0..100;
-    `units`: of columns, where the file gives them.
-    Raises BadInput when a column cannot be told from its name.
-    """
-    there_are = f"columns are: {listing(names)}; write a rig.toml that names the columns"
-    clock = guess_time(names, units)
-    if clock is None and not has_clock:
-        raise BadInput(f"{name}: no column looks like time; {there_are}")
-    drive = _pick(names, _INPUT_NAMES, INPUT_UNITS, units)
-    if drive is None:
-        raise BadInput(f"{name}: no column looks like the input; {there_are}")
-    reading = _pick(names, _POSITION_NAMES, POSITION_UNITS, units) or _pick(names, _SPEED_NAMES, SPEED_UNITS, units)
-    if reading is None:
-        raise BadInput(f"{name}: no column looks like the output; {there_are}")
-    unit_in = drive[2] or _INPUT_NAMES[drive[1]]
-    if drive[2] is None and unit_in == "%":
-        peak = duty_peak.get(drive[0], 0.0)
-        if peak > 101:
-            raise BadInput(
-                f"{name}: column '{drive[0]}' reaches {peak:g}, which is no percentage; "
-                "write a rig.toml that gives its unit or full_scale"
-            )
-        unit_in = "1" if 0 < peak <= 1 else "%"
-    is_count = reading[2] == "count" or reading[1] in ("counts", "count", "encoder")
-    if is_count:
-        raise BadInput(
-            f"{name}: column '{reading[0]}' is in counts, and counts_per_revolution is not known; "
-            "write a rig.toml with it"
-        )
-    unit_out = reading[2] or ("rad/s" if reading[1] in _SPEED_NAMES else "rad")
-    assumed = []
-    if clock is not None and clock.column is not None:
-        unit = next(u for u, (_, factor) in TIME_UNITS.items() if factor == clock.factor)
-        assumed.append(f"time is column '{clock.column}', in {unit}")
-    assumed.append(f"the input is column '{drive[0]}', in {'fractions of full drive' if unit_in == '1' else unit_in}")
-    assumed.append(f"the output is column '{reading[0]}', in {unit_out}")
-    rig = _rig(
-        {"input": {"column": drive[0], "unit": unit_in}, "output": {"column": reading[0], "unit": unit_out}},
-        name,
-    )
-    return replace(rig, time=clock or Clock(), assumed=tuple(assumed))

@@ -175,13 +175,12 @@
       field("column", choice(names(), own.column || ""), own.column || "", value => put("output", "column", value)),
       field("unit", choice(Object.entries(UNITS.output), unit), unit, value => {
         put("output", "unit", value);
-        if (value.startsWith("count")) sections.output.counts_per_revolution ??= 4096;
-        else put("output", "counts_per_revolution", "");
+        if (!value.startsWith("count")) put("output", "counts_per_revolution", "");
       }),
     ];
     if (unit.startsWith("count")) {
-      parts.push(field("counts per revolution, after quadrature and gear", number(), own.counts_per_revolution, value =>
-        put("output", "counts_per_revolution", Number(value)), "wide"));
+      parts.push(field("counts per revolution, after quadrature and gear; none: the axis is in counts", number(),
+        own.counts_per_revolution, value => put("output", "counts_per_revolution", Number(value) || ""), "wide"));
     }
     const place = {link: "the link, behind the gear", motor: "the motor"};
     parts.push(field("the sensor sits on", choice(Object.entries(place), own.location || "link"), own.location || "link",

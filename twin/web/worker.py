@@ -17,11 +17,12 @@ from typing import Any
 
 from twin.display.numbers import capital
 from twin.errors import BadInput, StageFailed
-from twin.io import manifest, rig_draft
+from twin.io import manifest
 from twin.io.faults import summarise
 from twin.io.preflight.finding import Severity
 from twin.io.recording import Recording, load
-from twin.io.rig_draft import Section
+from twin.io.rig_draft import draft
+from twin.io.rig_guess import Section, guess, numeric_columns, write_sections
 from twin.io.tables.formats import open_tables
 from twin.io.tables.table import Table
 from twin.io.units import OPTIONAL_UNITS
@@ -65,22 +66,21 @@ class Work:
         return {**told, **self.choose({title: dict(s.keys) for title, s in sections.items()})}
 
     def _draft(self, table: Table) -> tuple[Mapping[str, Section], list[str]]:
-        columns = rig_draft.numeric_columns(table)
         try:
-            sections, unsure = rig_draft.guess_sections(table, columns)
+            guessed = guess(table)
         except BadInput:
             return {}, ["no column looks like the input or the output by its name: choose them"]
         try:
-            found = rig_draft.draft(self.log)
+            found = draft([self.log])
         except BadInput:  # what is wrong is said of the choice
-            return sections, unsure
+            return guessed.sections, guessed.unsure
         return found.sections, list(found.unsure)
 
     def choose(self, sections: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         """Load the log with this rig file: a preview, what the checks before any fit find, and the rig file's text."""
         table = open_tables(self.log)[0]
         checked = {title: Section(_checked(title, keys)) for title, keys in sections.items()}
-        text = rig_draft.write_sections(checked, self.name, table.names[:200])
+        text = write_sections(checked, self.name, table.names[:200])
         rig = self.log.parent / "rig.toml"
         rig.write_text(text, encoding="utf-8")
         self.recordings = []
@@ -110,7 +110,7 @@ class Work:
 
     def _raw(self, table: Table, sections: Mapping[str, Section]) -> dict[str, Any] | None:
         """The chosen columns as they stand in the file, or all that hold numbers while not all are chosen."""
-        found = rig_draft.numeric_columns(table)
+        found = numeric_columns(table)
         names = [sections[key].keys.get("column") for key in ("input", "output") if key in sections]
         chosen = {str(name): found[str(name)] for name in names if str(name) in found}
         shown = chosen if len(chosen) == 2 else found
