@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 FUZZ = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "fuzz.py"))
-MUTATIONS = 1998
+MUTATIONS = 540  # 30 of each kind; the script tries more
 
 
 def test_damaged_files_are_read_or_refused(tmp_path: Path) -> None:
@@ -19,7 +19,7 @@ def test_damaged_files_are_read_or_refused(tmp_path: Path) -> None:
         assert outcome in ("read", "refused"), f"{kind}, seed {seed}: {outcome}"
         assert outcome == "read" or seed >= 0, f"the sound {kind} file is refused"
         became[outcome] += 1
-    assert min(became["read"], became["refused"]) > 100
+    assert min(became["read"], became["refused"]) > 50
 
 
 @pytest.mark.parametrize("found", [ValueError("x"), MemoryError(), RecursionError(), SystemExit(3)])
