@@ -16,7 +16,8 @@ from fmpy.validation import validate_fmu
 from twin.control import controller, cosimulation, design
 from twin.control.controller import Controller
 from twin.control.cosimulation import Tracking
-from twin.diagnosis import adequacy, data_split, diagnose, result
+from twin.diagnosis import adequacy, data_split, result
+from twin.diagnosis.api import diagnose
 from twin.diagnosis.result import Diagnosis
 from twin.errors import BadInput, StageFailed
 from twin.estimation import estimate, two_stage
@@ -145,7 +146,9 @@ def run(
         estimate.compile_kernel(tell)
         tell("steady states and transients", 0.03)
         simple = stages.attempt("two-stage estimate", lambda: two_stage.two_stage(data_split.split(recordings)[0]))
-        diagnosis = _diagnosis(stages, recordings, structure, lambda s, x: tell(s, 0.05 + 0.75 * x))
+        diagnosis = stages.attempt(
+            "diagnosis", lambda: diagnose(recordings, structure, progress=lambda s, x: tell(s, 0.05 + 0.75 * x))
+        )
         if diagnosis is None:
             model = estimate.identify(recordings, structure, progress=lambda s, x: tell(s, 0.8 + 0.1 * x))
             put(folder / "model.toml", fitted_model.dumps(model))
@@ -239,16 +242,3 @@ def _tell_story(
         diagnosis, recordings[0].rig, None, tuple(c for c in checks if c is not None), made, tracking, experiment_file,
         diagnosis.seconds, failures=stages.failures,
     )  # fmt: skip
-
-
-def _diagnosis(
-    stages: Stages, recordings: Sequence[Recording], structure: Structure, tell: Progress
-) -> Diagnosis | None:
-    """The diagnosis, whose models know the largest command; None where it failed."""
-
-    def work() -> Diagnosis:
-        found = diagnose.diagnose(recordings, structure, progress=tell)
-        before, after = (estimate.with_largest_command(m, recordings) for m in (found.before, found.after))
-        return replace(found, before=before, after=after)
-
-    return stages.attempt("diagnosis", work)

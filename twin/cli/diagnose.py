@@ -17,29 +17,15 @@ def _diagnose(args: argparse.Namespace) -> int:
 
         recordings, rig = load(args, tell)
         to_fit(recordings)  # before anything is compiled
-        from twin.diagnosis import diagnose, result
-        from twin.diagnosis.api import against_given
-        from twin.estimation import estimate
+        from twin.diagnosis import api, result
         from twin.io import files
-        from twin.io.recording import as_told, check_units
         from twin.model import fitted_model
         from twin.report import wording
 
         given = None if args.model is None else fitted_model.read(args.model)
-        if given is None:
-            structure = estimate.first_structure(recordings, args.include, args.exclude)
-        else:
-            for r in recordings:
-                check_units(r, str(args.model), given.input_unit, given.axis_unit)
-            recordings = [as_told(r, given.known) for r in recordings]
-            structure = estimate.changed_structure(given.structure, args.include, args.exclude)
-        estimate.compile_kernel(tell)
-        d = diagnose.diagnose(
-            recordings, structure, {} if given is None else estimate.held_parameters(given),
-            progress=lambda s, x: tell(s, 0.05 + 0.9 * x), closed=args.closed_loop,
-        )  # fmt: skip
-        if given is not None:
-            d = against_given(d, given, args.closed_loop)
+        d = api.diagnose(
+            recordings, given, args.closed_loop, lambda s, x: tell(s, 0.95 * x), args.include, args.exclude
+        )
         page = ""
         if args.report is not None:
             from twin.report import html
@@ -53,7 +39,7 @@ def _diagnose(args: argparse.Namespace) -> int:
             )
             page = html.html(html.Story(d, rig, origin=made))
     experiment = result.experiment_csv(d.experiment, d.after.input_name)
-    files.put(args.out, fitted_model.dumps(estimate.with_largest_command(d.after, recordings)))
+    files.put(args.out, fitted_model.dumps(d.after))
     if experiment:
         files.put(experiment_file, experiment)
     if args.report is not None:

@@ -60,7 +60,7 @@ EXAMPLES = {
 
 #: The options by the arguments of the library that they set, where the two have different names.
 FLAGS = {
-    "include": "--with", "exclude": "--without", "closed_loop": "--closed", "names": "--map",
+    "include": "--with", "exclude": "--without", "closed_loop": "--closed", "first": "--model", "names": "--map",
     "same_structure": "--other-structure",
 }  # fmt: skip
 #: Arguments of the library whose options have the same name.

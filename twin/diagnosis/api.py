@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 from twin.diagnosis import diagnose as search
@@ -24,7 +24,7 @@ Progress = Callable[[str, float], None]
 
 def diagnose(
     recordings: Recording | Sequence[Recording], first: Structure | Model | None = None, closed_loop: bool = False,
-    progress: Progress | None = None,
+    progress: Progress | None = None, include: Iterable[str] = (), exclude: Iterable[str] = (),
 ) -> Diagnosis:  # fmt: skip
     """Find what a first model leaves out: locate it, name it, model it, and check it on data that no fit has seen.
 
@@ -40,6 +40,10 @@ def diagnose(
         Simulate the rig's own position loop from the recorded reference in the check.
     progress
         Is called with what is being done and the share of the work that is done, 0 to 1.
+    include
+        Ids of effects to add to the first model; `twin.EFFECTS` lists them.
+    exclude
+        Ids of effects to leave out of it.
 
     Returns
     -------
@@ -50,37 +54,34 @@ def diagnose(
     Raises
     ------
     BadInput
-        The recordings do not allow a diagnosis, or `first` is in other units than they are.
+        The recordings do not allow a diagnosis, or `first` is in other units than they are. There is no effect of a
+        name that is given, or the first model has none to leave out.
     """
     recordings, tell = as_list(recordings), progress or (lambda sentence, share: None)
-    held: dict[str, float] = {}
     given = first if isinstance(first, Model) else None
-    if isinstance(first, Model):
+    if given is not None:
         for r in recordings:
-            check_units(r, "the first model", first.input_unit, first.axis_unit)
-        recordings = [as_told(r, first.known) for r in recordings]
-        held, first = estimate.held_parameters(first), first.structure
-    structure = estimate.first_structure(recordings) if first is None else first
+            check_units(r, "`first`", given.input_unit, given.axis_unit)
+        recordings = [as_told(r, given.known) for r in recordings]
+    if first is None:
+        structure = estimate.first_structure(recordings, include, exclude)
+    else:
+        structure = first.structure if isinstance(first, Model) else first
+        structure = estimate.changed_structure(structure, include, exclude)
+    held = {} if given is None else estimate.held_parameters(given)
     estimate.compile_kernel(tell)
     found = search.diagnose(
         recordings, structure, held, progress=lambda s, x: tell(s, 0.05 + 0.95 * x), closed=closed_loop
     )
     before, after = (estimate.with_largest_command(m, recordings) for m in (found.before, found.after))
     found = replace(found, before=before, after=after)
-    return found if given is None else against_given(found, given, closed_loop)
+    return found if given is None else _against_given(found, given, closed_loop)
 
 
-def against_given(found: Diagnosis, given: Model, closed_loop: bool = False) -> Diagnosis:
+def _against_given(found: Diagnosis, given: Model, closed_loop: bool) -> Diagnosis:
     """The diagnosis, with how a model that was given runs freely as it is, and which of its parameters changed.
 
-    Parameters
-    ----------
-    found
-        Its first model has the given one's structure, or other effects, and then nothing can be compared.
-    given
-        The model as it was before these recordings.
-    closed_loop
-        Simulate the rig's own position loop from the recorded reference.
+    Where the first model of the diagnosis has other effects than the given one, no parameters can be compared.
     """
     fits = {}
     for r in found.recordings:
