@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
+import twin
 from twin.effects.catalogue import BASE
 from twin.effects.end_stop import NOWHERE
 from twin.errors import BadInput
@@ -64,3 +67,18 @@ def test_where_the_inertia_is_known_torques_are_told(unit: str, known: str, says
     assert f"({made.torque('coulomb_friction')})" == says
     assert made.torque("viscous_friction") == "" and replace(made, known={}).torque("coulomb_friction") == ""
     assert says in made.says("coulomb_friction")
+
+
+def test_readings_that_come_faster_than_an_axis_moves_are_no_evidence_of_their_own():
+    """Half a second at 100 kHz: a hundred readings in each count round alike, and are no hundred errors."""
+    gain, friction, step = 0.5, 4.0, 1e-5
+    time = step * np.arange(50_000)
+    duty = 35.0 * np.sin(2 * np.pi * 1.7 * time) + 33.0 * np.sin(2 * np.pi * 0.4 * time) ** 2
+    decay = math.exp(-friction * step)
+    speed = lfilter([0.0, gain / friction * (1.0 - decay)], [1.0, -decay], duty)
+    count = 2 * math.pi / 10_000
+    read = np.round(step * np.concatenate(([0.0], np.cumsum(speed)[:-1])) / count) * count
+    recording = Recording("fast", time, duty, read, "%", "rad", count)
+    found = twin.identify(recording, twin.first_structure(recording, (), ["backlash", "dead_band"]))
+    for name, truth in (("input_gain", gain), ("viscous_friction", friction)):
+        assert abs(found.values[name] - truth) < min(4.0 * found.std(name), 0.01 * truth)

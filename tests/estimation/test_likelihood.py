@@ -432,3 +432,15 @@ def test_what_is_not_finite_is_not_known() -> None:
     assert np.all(np.isinf(numerics.least_squares_solution(a, b)))
     found = numerics.without_what_is_lost(np.array([[1.0, np.nan], [np.nan, np.inf]]))
     assert found.tolist() == [[1.0, 0.0], [0.0, math.inf]]
+
+
+def test_an_estimate_without_a_stretch_keeps_to_the_bounds() -> None:
+    """A share that one stretch alone determines moves within its bounds, and takes no other parameter further."""
+    a = np.array([[1.0, 0.999999], [0.999999, 1.0]])  # all but the sum of the two is lost
+    b = np.array([0.0, 1e-3])
+    wide = np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
+    np.testing.assert_allclose(numerics.bounded_solution(a, b, wide), np.linalg.solve(a, b), rtol=1e-6)
+    narrow = np.array([[-np.inf, -0.2], [np.inf, 0.8]])
+    free, share = numerics.bounded_solution(a, b, narrow)
+    assert share == 0.8
+    assert free == pytest.approx(b[0] - 0.999999 * 0.8)

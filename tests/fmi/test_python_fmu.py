@@ -511,6 +511,26 @@ def test_the_start_is_read_off_the_recording():
         python_fmu.start_of(recording_of(model, time, 0.0 * time))
 
 
+@pytest.mark.parametrize("speed", [0.0, 3.0])
+def test_the_start_between_slow_readings_is_what_the_model_makes_of_them(speed: float):
+    """A sensor that is read every 50 ms misses how the axis sets off; its model does not."""
+    model = model_of(SIMPLE)
+    time = np.arange(1000) * 0.002
+    state = kernel.start_state(0.4, speed, 0.0)
+    drive = kernel.Drive(
+        time,
+        np.full(1000, 60.0),
+        np.full(1000, np.nan),
+        False,
+        kernel.known_vector({}),
+        np.zeros(5),
+        model.longest_step,
+    )
+    read = kernel.predict(drive, kernel.vector(model.structure, model.values), state).reading
+    slow = recording_of(model, time, drive.command, np.where(np.arange(1000) % 25 == 0, read, np.nan))
+    assert python_fmu.start_of(slow, model) == pytest.approx((0.4, speed), abs=1e-6)
+
+
 def test_what_is_no_fmu_of_ours_is_said(made, tmp_path):
     recording = recording_of(model_of(SIMPLE), np.arange(20) * PERIOD, command(20))
     other = tmp_path / "other.fmu"

@@ -53,7 +53,7 @@ def simulate_recording(model: Model, recording: Recording, closed: bool = False)
     `closed`, under the rig's own loop. Raises BadInput where that loop is not known.
     """
     case = prepared_recording.prepare_recording(recording, model.structure, closed)
-    case = replace(case, start=python_fmu.start_of(recording))
+    case = replace(case, start=python_fmu.start_of(recording, model))
     seen = likelihood.filtered_states(case, model.structure, model.values, 0.0).reading
     return seen[own_loop(recording).stamps] if closed else seen
 

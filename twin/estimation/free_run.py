@@ -99,7 +99,9 @@ def simulate(model: Model, recording: Recording, closed_loop: bool = False) -> S
     """
     check_units(recording, "the model", model.input_unit, model.axis_unit)
     recording = as_told(recording, model.known)
-    case = replace(prepare_recording(recording, model.structure, closed_loop), start=python_fmu.start_of(recording))
+    case = replace(
+        prepare_recording(recording, model.structure, closed_loop), start=python_fmu.start_of(recording, model)
+    )
     ran = likelihood.filtered_states(case, model.structure, model.values, 0.0)
     if not np.isfinite(ran.states).all():
         at = case.drive.time[int(np.argmin(np.isfinite(ran.states).all(axis=1)))]

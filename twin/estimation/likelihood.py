@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.estimation import filter_memory, numerics
+from twin.estimation import filter_memory, numerics, parameter_bounds
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
 from twin.estimation.problem import FitProblem
@@ -294,6 +294,8 @@ def jackknife_covariance(problem: FitProblem, point: Fit, stretch: float = BLOCK
 
     A parameter that a few stretches decide follows what these happen to say, and the errors there look small. The
     estimate without a stretch tells how much depends on it (jackknife; MacKinnon and White, J. Econometrics 29, 1985).
+    Like any estimate it lies within the bounds. What a single stretch tells of a share, from 0 to 1, would else move
+    without end where that is left out, and take with it what the others tell.
     """
     pulls, weights = _scores_by_block(problem, point, None, stretch)
     plain = point.covariance
@@ -301,8 +303,10 @@ def jackknife_covariance(problem: FitProblem, point: Fit, stretch: float = BLOCK
         return plain
     whole = weights.sum(axis=0)
     size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    bounds = np.array([parameter_bounds.bounds_of(n) for n in point.free]).T
+    room = (bounds - np.array([point.values[n] for n in point.free])) * size
     moved = [
-        numerics.least_squares_solution((whole - w) / np.outer(size, size), g / size) / size
+        numerics.bounded_solution((whole - w) / np.outer(size, size), -g / size, room) / size
         for g, w in zip(pulls, weights, strict=True)
     ]
     wider = np.sqrt(np.maximum(np.sum(np.square(moved), axis=0) / np.maximum(np.diag(plain), 1e-300), 1.0))

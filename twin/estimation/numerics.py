@@ -42,3 +42,22 @@ def least_squares_solution(a: FloatArray, b: FloatArray) -> FloatArray:
     if not (np.all(np.isfinite(a)) and np.all(np.isfinite(b))):
         return np.full(a.shape[1:] + b.shape[1:], np.inf)
     return np.asarray(np.linalg.lstsq(a, b, rcond=EIGENVALUE_FLOOR)[0])
+
+
+def bounded_solution(a: FloatArray, b: FloatArray, bounds: FloatArray) -> FloatArray:
+    """The solution (n,) of a x = b that keeps to bounds (2, n): what would leave them is held there, for the others.
+
+    Infinite where a or b is not finite.
+    """
+    held = np.zeros(b.size, dtype=bool)
+    found = least_squares_solution(a, b)
+    while np.all(np.isfinite(found)):
+        beyond = ~held & ((found < bounds[0]) | (found > bounds[1]))
+        if not beyond.any():
+            break
+        held |= beyond
+        at_bound = np.where(held, np.clip(found, *bounds), 0.0)
+        rest = b - a @ at_bound
+        found = at_bound
+        found[~held] = least_squares_solution(a[np.ix_(~held, ~held)], rest[~held])
+    return found

@@ -25,11 +25,12 @@ from twin.fmi.fmu_archive import Fmu, open_fmu, rewritten
 from twin.fmi.fmu_instance import running
 from twin.io.files import check_free, put
 from twin.io.position_loop import own_loop
-from twin.io.recording import Recording, as_told, check_units, driven
+from twin.io.recording import Recording, as_told, check_units, command_of, driven, known_quantities
 from twin.model import sensor
 from twin.model.fitted_model import INPUT_NAMES, Model, dumps, loads
 from twin.model.stepper import KNOWN
 from twin.model.variables import OUTPUTS, ROUND, delay_capacity, parameters_text, variables
+from twin.simulation import kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -209,9 +210,11 @@ class Start:
 _BEGINNINGS = ((0,), (0, 2), (0, 1), (0, 1, 2))
 #: Chi-square that each term of motion has to earn at the start: three standard errors.
 _EARNED = 9.0
+#: The readings of so many s tell the state at the start, and at least so many.
+_WINDOW, _FIRST = 0.02, 5
 
 
-def start_state(recording: Recording, window: float = 0.02) -> Start:
+def start_state(recording: Recording, window: float = _WINDOW) -> Start:
     """State at the first stamp from the readings of the first `window` s, with the fewest terms that describe them.
 
     A line through an axis that starts from rest would give it too high a speed. The position error would then be that
@@ -222,7 +225,7 @@ def start_state(recording: Recording, window: float = 0.02) -> Start:
     seen = np.flatnonzero(np.isfinite(recording.output))
     if seen.size == 0:
         raise BadInput(f"{recording.name}: no reading is left, so there is nothing to compare with")
-    near = seen[recording.time[seen] <= max(recording.time[seen[0]] + window, recording.time[seen[:5][-1]])]
+    near = seen[recording.time[seen] <= max(recording.time[seen[0]] + window, recording.time[seen[:_FIRST][-1]])]
     time, output = recording.time[near] - recording.time[0], recording.output[near]
     if recording.is_speed:
         return Start(0.0, float(np.mean(output)), float(np.std(output)) / math.sqrt(len(near)))
@@ -244,15 +247,51 @@ def start_state(recording: Recording, window: float = 0.02) -> Start:
     return Start(float(found[0]), float(found[at]), math.sqrt(noise * np.linalg.inv(columns.T @ columns)[at, at]))
 
 
-def start_of(recording: Recording) -> tuple[float, float]:
-    """Position and velocity at the first stamp (`start_state`)."""
+def start_of(recording: Recording, model: Model | None = None) -> tuple[float, float]:
+    """Position and velocity at the first stamp (`start_state`).
+
+    Between readings that are far apart an axis moves as no power of time does. There the model says at what velocity it
+    began, and rest has to be wrong by as much as any other beginning.
+    """
     start = start_state(recording)
-    return start.position, start.velocity
+    read = np.flatnonzero(np.isfinite(recording.output))[:_FIRST]
+    if model is None or recording.time[read[-1]] - recording.time[read[0]] <= _WINDOW:
+        return start.position, start.velocity
+    first = float(recording.output[read[0]])
+    return (0.0 if recording.is_speed else first), _velocity_by_model(recording, model, read)
+
+
+def _velocity_by_model(recording: Recording, model: Model, read: NDArray[np.intp]) -> float:
+    """The velocity at the first stamp from which a free run of the model meets these readings best."""
+    upto = slice(0, int(read[-1]) + 1)
+    drive = kernel.Drive(
+        recording.time[upto], command_of(recording)[upto], np.full(upto.stop, np.nan), recording.is_speed,
+        kernel.known_vector(known_quantities(recording)), np.zeros(5), model.longest_step,
+    )  # fmt: skip
+    parameters = kernel.vector(model.structure, dict(model.values))
+    place = 0.0 if recording.is_speed else float(recording.output[read[0]])
+
+    def error(velocity: float) -> FloatArray:
+        run = kernel.predict(drive, parameters, kernel.start_state(place, velocity, 0.0))
+        return np.asarray(recording.output[read] - run.reading[read])
+
+    fastest = float(np.max(np.abs(np.diff(recording.output[read]) / np.diff(recording.time[read]))))
+    tried = float(recording.output[read[0]]) if recording.is_speed else fastest
+    rest = error(0.0)
+    if tried == 0.0 or not np.isfinite(rest).all():
+        return 0.0
+    slope = (error(tried) - rest) / tried
+    velocity = -float(np.dot(slope, rest)) / max(float(np.dot(slope, slope)), 1e-300)
+    moving = error(velocity)
+    spare = len(read) - 1
+    noise = max(float(np.sum(moving**2)) / spare, recording.resolution**2 / 12.0, 1e-300)
+    gain = (float(np.sum(rest**2)) - float(np.sum(moving**2))) / noise
+    return velocity if gain > _EARNED else 0.0
 
 
 def start_values(recording: Recording, model: Model | None) -> tuple[float, float]:
     """Position and velocity at the first stamp at which the model's sensor reads what was read there."""
-    position, velocity = start_of(recording)
+    position, velocity = start_of(recording, model)
     return (sensor.position(model.structure, model.values, position) if model else position), velocity
 
 

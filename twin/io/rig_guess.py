@@ -25,9 +25,10 @@ _INPUT = ("duty", "pwm", "volt", "spannung", "torque", "drehmoment", "tau", "for
 _REFERENCE = ("ref", "goal", "target", "setpoint", "desired", "sp", "des", "sollwert")
 _POSITION = ("counts", "ticks", "encoder", "position", "theta", "angle", "winkel", "count", "enc", "pos", "phi", "deg",
              "q", "qm", "output", "y", "x")  # fmt: skip
+_ANGLES = ("angle", "winkel")  # a long way under such a name is in deg
 _SPEED = ("speed", "velocity", "omega", "rpm", "drehzahl", "vel", "w", "v", "output", "y")
 _SUPPLY = ("supply", "battery", "vbat", "vbus", "vcc", "bus")
-_OPTIONAL = {"temperature": ("temp",), "supply": _SUPPLY, "current": ("current", "amps", "strom")}
+_OPTIONAL = {"temperature": ("temp",), "supply": _SUPPLY, "current": ("current", "amps", "strom", "i")}
 _DIRECTION = ("dir", "direction", "sign")
 #: Names that may be a position as well as a speed: what stands in the column decides.
 _EITHER = ("output", "y", "x")
@@ -358,7 +359,7 @@ def _output_section(name: str, values: FloatArray, table: Table, position: bool,
             unsure.append(f"the unit of '{name}' is not known: {unit} is taken")
     if unit is None:
         counted = any(w in base for w in ("count", "enc", "ticks")) or (whole and np.ptp(finite) > 50)
-        degrees = not whole and (np.ptp(finite) > 60 or "deg" in base)
+        degrees = "deg" in base or (np.ptp(finite) > 60 and (np.ptp(finite) <= 360 or _pick([name], _ANGLES)))
         unit = "count" if counted else "deg" if degrees else "rad"
         if unit != "count":
             unsure.append(f"the unit of '{name}' is not known: {unit} is taken")

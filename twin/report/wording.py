@@ -31,7 +31,7 @@ def undetermined_sentence(model: Model) -> str:
     if not model.undetermined:
         return ""
     names = listed([n.replace("_", " ") for n in model.undetermined])
-    remedies = dict.fromkeys(model.notes[n].split(";", 1)[-1].strip() for n in model.undetermined)
+    remedies = dict.fromkeys(model.notes[n].rsplit(";", 1)[-1].strip() for n in model.undetermined)
     return f"Not determined by this recording: {names}. What would help: {'; '.join(remedies)}."
 
 
