@@ -212,6 +212,8 @@ _BEGINNINGS = ((0,), (0, 2), (0, 1), (0, 1, 2))
 _EARNED = 9.0
 #: The readings of so many s tell the state at the start, and at least so many.
 _WINDOW, _FIRST = 0.02, 5
+#: Gauss-Newton steps to that velocity.
+_LOOKS = 5
 
 
 def start_state(recording: Recording, window: float = _WINDOW) -> Start:
@@ -275,14 +277,19 @@ def _velocity_by_model(recording: Recording, model: Model, read: NDArray[np.intp
         run = kernel.predict(drive, parameters, kernel.start_state(place, velocity, 0.0))
         return np.asarray(recording.output[read] - run.reading[read])
 
-    fastest = float(np.max(np.abs(np.diff(recording.output[read]) / np.diff(recording.time[read]))))
-    tried = float(recording.output[read[0]]) if recording.is_speed else fastest
+    scale = (
+        float(np.max(np.abs(recording.output[read])))
+        if recording.is_speed
+        else float(np.max(np.abs(np.diff(recording.output[read]) / np.diff(recording.time[read]))))
+    )
     rest = error(0.0)
-    if tried == 0.0 or not np.isfinite(rest).all():
+    if scale == 0.0 or not np.isfinite(rest).all():
         return 0.0
-    slope = (error(tried) - rest) / tried
-    velocity = -float(np.dot(slope, rest)) / max(float(np.dot(slope, slope)), 1e-300)
-    moving = error(velocity)
+    velocity, moving = 0.0, rest
+    for _ in range(_LOOKS):  # dry friction and a gap are not linear in it
+        slope = (error(velocity + 0.01 * scale) - moving) / (0.01 * scale)
+        velocity -= float(np.dot(slope, moving)) / max(float(np.dot(slope, slope)), 1e-300)
+        moving = error(velocity)
     spare = len(read) - 1
     noise = max(float(np.sum(moving**2)) / spare, recording.resolution**2 / 12.0, 1e-300)
     gain = (float(np.sum(rest**2)) - float(np.sum(moving**2))) / noise
