@@ -154,3 +154,9 @@ def test_many_columns_are_looked_through_once(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="and 199980 more"):
         load([path])
     assert time.process_time() - began < 10.0
+
+
+def test_a_sheet_of_excel_is_named(tmp_path: Path) -> None:
+    (tmp_path / "log.xlsx").write_bytes(b"PK\3\4" + bytes(100))
+    with pytest.raises(BadInput, match=r"Excel or zip file.*save the sheet as CSV"):
+        load([tmp_path / "log.xlsx"])

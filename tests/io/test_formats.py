@@ -4,6 +4,7 @@ byte by byte from the format's specification.
 
 import json
 import math
+import re
 import sqlite3
 import struct
 from collections.abc import Callable
@@ -213,6 +214,43 @@ def test_mat_v5_reads_what_scipy_writes(tmp_path: Path, content: dict[str, np.nd
     for name, values in content.items():
         wide = values.ravel().astype(np.float64)
         np.testing.assert_array_equal(table.columns([name])[0], np.where(np.isfinite(wide), wide, np.nan))
+
+
+def opaque(name: str, kind: str) -> bytes:
+    """A v5 file with one object, as MATLAB writes it: its class, and references into data of MATLAB's own."""
+
+    def element(number: int, data: bytes) -> bytes:
+        return struct.pack("<II", number, len(data)) + data + bytes(-len(data) % 8)
+
+    numbers = element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 6, 1)) + element(1, b"")
+    references = element(14, numbers + element(6, struct.pack("<6I", 0xDD000000, 2, 1, 1, 1, 1)))
+    texts = element(1, name.encode()) + element(1, b"MCOS") + element(1, kind.encode())
+    content = element(14, element(6, struct.pack("<II", 17, 0)) + texts + references)
+    return b"MATLAB 5.0 MAT-file".ljust(116) + bytes(8) + struct.pack("<H", 0x0100) + b"IM" + content
+
+
+@pytest.mark.parametrize(
+    ("kind", "says"),
+    [
+        ("timetable", "writetimetable(run1, 'log.csv')"),
+        ("iddata", "u = run1.InputData"),
+        ("myclass", "save its numbers as vectors"),
+    ],
+)
+@pytest.mark.parametrize("new", [False, True])
+def test_an_object_of_matlabs_says_how_to_export_it(tmp_path: Path, kind: str, says: str, new: bool) -> None:
+    path = tmp_path / "log.mat"
+    if new:
+        h5py = pytest.importorskip("h5py")
+        with h5py.File(path, "w", userblock_size=512) as file:
+            file["run1"] = np.array([[0xDD000000, 2, 1, 1, 1, 1]], dtype=np.uint32)
+            file["run1"].attrs["MATLAB_class"] = np.bytes_(kind)
+            file["run1"].attrs["MATLAB_object_decode"] = np.int32(3)
+    else:
+        path.write_bytes(opaque("run1", kind))
+    with pytest.raises(BadInput, match=re.escape(f"'run1' is a {kind} object")) as caught:
+        open_table(path)
+    assert says in str(caught.value)
 
 
 def test_hdf5_leads_to_no_other_file(tmp_path: Path) -> None:

@@ -1,19 +1,31 @@
 """Arrays under nested names, as MATLAB and HDF5 files hold them, turned into the columns of a table."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
+from twin.errors import BadInput
 from twin.io.tables.table import FloatArray, Table, from_columns, unique_names
 
 #: Per full name, such as `log.t`: the shape, and what makes the numbers, the first index running fastest.
 Arrays = dict[str, tuple[tuple[int, ...], Callable[[], FloatArray]]]
 
+#: What MATLAB has to be told, by the class of an object whose numbers only MATLAB can find; {0} is the variable.
+_EXPORTS = {
+    "timetable": "writetimetable({0}, 'log.csv')",
+    "table": "writetable({0}, 'log.csv')",
+    "timeseries": "t = {0}.Time; y = squeeze({0}.Data); save('log.mat', 't', 'y')",
+    "iddata": "t = {0}.SamplingInstants; u = {0}.InputData; y = {0}.OutputData; save('log.mat', 't', 'u', 'y')",
+    "Simulink.SimulationData.Dataset": "s = {0}{{1}}.Values; t = s.Time; y = squeeze(s.Data), the same for the input, "
+    "and save('log.mat', 't', 'u', 'y')",
+}
+#: Vectors that are shorter than this stand beside a recording.
+_SHORT = 50
 _MOST_COLUMNS = 1000  # of one matrix: more is no table with a row a sample
 
 
-def table_of_arrays(path: Path, arrays: Arrays) -> Table:
+def table_of_arrays(path: Path, arrays: Arrays, objects: Mapping[str, str] | None = None) -> Table:
     """A table of vectors, of the columns of matrices, and of scalars.
 
     Only arrays of the commonest length become columns where lengths differ, unless a rig file asks for others: `read`
@@ -25,12 +37,18 @@ def table_of_arrays(path: Path, arrays: Arrays) -> Table:
         The file, for messages.
     arrays
         As `Arrays`.
+    objects
+        The class of each variable that is an object of MATLAB's.
 
     Raises
     ------
     BadInput
-        Where nothing can be a column.
+        Where nothing can be a column; of an object the message says how to export it.
     """
+    longest = max((max(shape, default=0) for shape, _ in arrays.values()), default=0)
+    for name, kind in (objects or {}).items() if longest < _SHORT else ():
+        how = _EXPORTS.get(kind, "save its numbers as vectors with save('log.mat', 't', 'u', 'y')").format(name)
+        raise BadInput(f"{path}: '{name}' is a {kind} object, whose numbers only MATLAB finds; in MATLAB, {how}")
     full: dict[str, Callable[[], FloatArray]] = {}
     scalars: dict[str, float] = {}
     for name, (shape, make) in arrays.items():

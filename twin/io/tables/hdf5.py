@@ -32,12 +32,26 @@ def open_hdf5(path: Path) -> Table:
     arrays: Arrays = {}
     try:
         with h5py.File(path, "r") as file:
+            objects = _objects(file, h5py)
             _collect(file, "", arrays, path, h5py, 0)
     except BadInput:
         raise
     except Exception as error:  # a damaged file makes the library raise anything
         raise unreadable(path, "MAT v7.3 (HDF5)", error) from None
-    return table_of_arrays(path, arrays)
+    return table_of_arrays(path, {n: a for n, a in arrays.items() if n not in objects}, objects)
+
+
+def _objects(file: Any, h5py: Any) -> dict[str, str]:
+    """Name and class of the variables that are objects of MATLAB's: what stands there are references, no numbers."""
+    found = {}
+    for name in file:
+        if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+            continue
+        attributes = file[name].attrs
+        if "MATLAB_object_decode" in attributes:
+            kind = attributes.get("MATLAB_class", b"")
+            found[name] = kind.decode("latin-1") if isinstance(kind, bytes) else str(kind)
+    return found
 
 
 def _collect(group: Any, prefix: str, found: Arrays, path: Path, h5py: Any, depth: int) -> None:

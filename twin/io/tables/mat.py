@@ -9,6 +9,7 @@ shorter side, `name(:,1)`, `name(:,2)` ... A struct gives its fields, also neste
 are unique, else as `log.t`. A cell array gives its members. A single number is a scalar.
 """
 
+import itertools
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -25,7 +26,7 @@ from twin.io.tables.table import MAX_BYTES, FloatArray, Table, read_bytes, unrea
 _INT8, _UINT32, _COMPRESSED, _MATRIX = 1, 6, 15, 14
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 # classes of arrays
-_CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE = 1, 2, 3, 4, 5
+_CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _OPAQUE = 1, 2, 3, 4, 5, 17
 _NUMERIC = range(6, 16)
 _DEEPEST = 20
 _MOST_ARRAYS = 100_000
@@ -52,15 +53,16 @@ def open_mat(path: Path) -> Table:
     data = memoryview(read_bytes(path))
     if bytes(data[:8]) == b"\x89HDF\r\n\x1a\n" or bytes(data[512:520]) == b"\x89HDF\r\n\x1a\n":
         return hdf5.open_hdf5(path)
+    objects: dict[str, str] = {}
     try:
-        arrays = _read(data)
+        arrays = _read(data, objects)
     except (_Damaged, zlib.error, struct.error, ValueError) as error:
         raise unreadable(path, "MAT", error) from None
-    return table_of_arrays(path, arrays)
+    return table_of_arrays(path, arrays, objects)
 
 
-def _read(data: memoryview) -> Arrays:
-    """All numeric arrays of a v5 file, each as a function that makes its numbers."""
+def _read(data: memoryview, objects: dict[str, str]) -> Arrays:
+    """All numeric arrays of a v5 file, each as what makes its numbers; classes of objects are added to `objects`."""
     if len(data) < 128 or bytes(data[126:128]) not in (b"IM", b"MI"):
         raise _Damaged("its header is not that of a MAT file")
     order = "<" if bytes(data[126:128]) == b"IM" else ">"
@@ -73,8 +75,18 @@ def _read(data: memoryview) -> Arrays:
         if element.kind == _COMPRESSED:
             element = next((e for _, e in _elements(_unpacked(element.data), order, 0)), element)
         if element.kind == _MATRIX:
+            objects |= _object(element.data, order)
             _collect(element.data, order, "", found, 0)
     return found
+
+
+def _object(data: memoryview, order: str) -> dict[str, str]:
+    """Name and class of a variable that is an object: such as a timetable, whose numbers lie in MATLAB's own data."""
+    parts = [element for _, element in itertools.islice(_elements(data, order, 0), 4)]
+    if len(parts) < 4 or parts[0].kind != _UINT32 or len(parts[0].data) < 8:
+        return {}
+    (flags,) = struct.unpack(f"{order}I", parts[0].data[:4])
+    return {_text(parts[1]): _text(parts[3])} if flags & 0xFF == _OPAQUE and _text(parts[3]) else {}
 
 
 def _unpacked(data: memoryview) -> memoryview:

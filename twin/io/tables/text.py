@@ -62,6 +62,8 @@ def decode(path: Path) -> str:
         text = data.decode("utf-16-be" if big else "utf-16-le", "replace").lstrip("\ufeff")
         if "\0" not in text:
             return text
+    if data[:4] == b"PK\3\4":
+        raise BadInput(f"{path}: is an Excel or zip file, not a text table; save the sheet as CSV, or unpack the file")
     if b"\0" in data:
         raise BadInput(f"{path}: byte {data.index(0)} is 0: a binary file, not a text table; export it as CSV")
     try:
