@@ -15,21 +15,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.estimation import (
+    contact_masking,
     likelihood,
     likelihood_profile,
+    long_recording,
     multistart,
+    optimizer,
     parameter_bounds,
     preparation,
 )
 from twin.estimation.fit import Fit
 from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording, known_quantities, to_fit, told_of
+from twin.model import equations
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
 from twin.parallel import each
 
 #: Bounded and kinked parameters, whose likelihood is no parabola.
 PROFILED = ("dead_band_forward", "dead_band_reverse", "backlash_gap")
+#: So many standard errors from 0, the likelihood of many readings is a parabola over the width of an interval.
+_WELL_KNOWN = 10.0
 #: Changes of teeth and gap that matter to nothing but the order of bounces, as shares of their values.
 _PERTURBATIONS = {"tooth_frequency": 0.01, "tooth_damping": 0.01, "backlash_gap": 0.001}
 
@@ -136,9 +142,12 @@ def _profile_intervals(problem: FitProblem, point: Fit, model: Model) -> dict[st
     """95 % intervals of the parameters for which a standard error is not enough."""
     powers = {"backlash_gap": multistart.RIDGE_POWERS}
     names = [n for n in PROFILED if n in point.free]
-    ends = each(
-        lambda n: likelihood_profile.profile_interval(problem, point, n, model.std(n), powers.get(n, {})), names
-    )
+    if long_recording.is_long([c.recording for c in problem.recordings]):
+        ends = _intervals_by_stretches(problem, point, model, names, powers)
+    else:
+        ends = each(
+            lambda n: likelihood_profile.profile_interval(problem, point, n, model.std(n), powers.get(n, {})), names
+        )
     found = dict(zip(names, ends, strict=True))
     if {"backlash_gap", "motor_share"} <= set(point.free) and math.isfinite(model.std("motor_share")):
         # Along the ridge the motor's share goes with the gap, and so it is no better known.
@@ -147,6 +156,34 @@ def _profile_intervals(problem: FitProblem, point: Fit, model: Model) -> dict[st
         low, high = parameter_bounds.bounds_of("motor_share")
         found["motor_share"] = (max(min(share - wide, lighter), low), min(max(share + wide, heavier), high))
     return found
+
+
+def _intervals_by_stretches(
+    problem: FitProblem, point: Fit, model: Model, names: Sequence[str], powers: Mapping[str, Mapping[str, float]]
+) -> list[tuple[float, float]]:
+    """The same of recordings that are long.
+
+    So many readings make a parabola of the likelihood of what is well known. Of the rest, the profile over some
+    stretches has the shape of that over all of them, and is wider as the standard error is.
+    """
+    plain = {n: (point.values[n] - 1.96 * model.std(n), point.values[n] + 1.96 * model.std(n)) for n in names}
+    vague = [n for n in names if not abs(point.values[n]) > _WELL_KNOWN * model.std(n)]
+    if not vague:
+        return [plain[n] for n in names]
+    seen = multistart.excerpts(problem, point.structure)
+    near = optimizer.levenberg_marquardt(seen, point.structure, point.values, point.free)
+    spread = dict(zip(point.free, np.sqrt(np.diag(covariance_of(seen, near))).tolist(), strict=True))
+
+    def scaled(name: str) -> tuple[float, float]:
+        low, high = likelihood_profile.profile_interval(seen, near, name, spread[name], powers.get(name, {}))
+        ratio = model.std(name) / spread[name] if math.isfinite(spread[name]) and spread[name] > 0.0 else 1.0
+        least, most = parameter_bounds.bounds_of(name)
+        if not (math.isfinite(ratio) and math.isfinite(high)):
+            return low, high
+        value, middle = point.values[name], near.values[name]
+        return max(value - ratio * (middle - low), least), min(value + ratio * (high - middle), most)
+
+    return [scaled(n) if n in vague else plain[n] for n in names]
 
 
 def likeliest(
@@ -161,13 +198,29 @@ def likeliest(
     """
     tell = progress or (lambda sentence, share: None)
     tell("a coarse fit", 0.0)
-    held = dict(held or {})
-    problem, begun = multistart.coarse_starts(to_fit(recordings), structure, held)
+    train, held = to_fit(recordings), dict(held or {})
+    timed = equations.timed(structure)  # such a model cannot begin anywhere else
+    searched = train if timed else long_recording.stretches(train)
+    problem, begun = multistart.coarse_starts(searched, structure, held)
     tell("the full likelihood", 0.3)
     point = multistart.fit_from_starts(problem.holding(held), preparation.with_tooth_compliance(structure), begun)
     tell("leaving local optima", 0.75)
     problem, point = multistart.leave_local_optima(problem, point)
-    return problem.holding(held), point
+    if len(searched) == len(train) and all(a is b for a, b in zip(searched, train, strict=True)):
+        return problem.holding(held), point
+    tell("all readings", 0.8)
+    return _on_all(problem, point, train, held)
+
+
+def _on_all(
+    problem: FitProblem, point: Fit, recordings: Sequence[Recording], held: Mapping[str, float]
+) -> tuple[FitProblem, Fit]:
+    """The maximum over whole recordings, near that of their stretches and at its noise."""
+    whole = preparation.prepare_recordings(recordings, point.structure, held)
+    noise = point.process_noise * problem.recordings[0].reading_variance / whole.recordings[0].reading_variance
+    whole = multistart.choose_initial_contacts(whole.at(noise), point.structure, point.values)
+    whole = contact_masking.with_contact_mask(whole, replace(point, process_noise=noise))
+    return whole, optimizer.levenberg_marquardt(whole, point.structure, point.values, point.free)
 
 
 def with_intervals(problem: FitProblem, point: Fit, recordings: Sequence[Recording]) -> Model:

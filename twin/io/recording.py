@@ -711,6 +711,6 @@ def _check_moves(recordings: Sequence[Recording]) -> None:
         if values.size < 2 or np.ptp(values) == 0:
             said = f"{values[0]:g}" if values.size else "nothing"
             raise BadInput(
-                f"{recordings[0].name}: the {what} is {said} all the time; "
-                "record the axis moving under a changing input"
+                f"{recordings[0].name}: the {what} is {said} all the time; record the axis moving under a changing "
+                "input, or give recordings at several levels together"
             )
