@@ -90,20 +90,8 @@ def make_reference(
     for name, value in (("amplitude", size), ("duration", 1.0 if duration is None else duration)):
         if not (math.isfinite(value) and value > 0.0):
             raise BadInput(f"reference {name} is {value:g}: give a number above 0")
-    speed, pull = SHARE * min(controller.reachable_speed, 1e6), SHARE * controller.reachable_acceleration
-    if not (speed > 0.0 and pull > 0.0):
-        raise BadInput(
-            f"the controller reaches {controller.reachable_speed:g} {controller.axis_unit}/s and "
-            f"{controller.reachable_acceleration:g} {controller.axis_unit}/s^2: both must be above 0; design it anew"
-        )
-    slow = 1.0 / controller.bandwidth
-    if kind == "minimum-jerk":
-        length = max(1.875 * size / speed, math.sqrt(5.7735 * size / pull), 3.0 * slow)
-    elif kind == "sine":
-        length = 2.0 * math.pi * max(0.5 * size / speed, math.sqrt(0.5 * size / pull), slow)
-    else:
-        length = max(2.0 * size / speed, 4.0 * math.sqrt(size / pull), 4.0 * slow)
-    rest = max(6.0 * slow, 1.0)
+    length = _motion_length(kind, controller, size)
+    rest = max(6.0 / controller.bandwidth, 1.0)
     # Lead-in, there, rest, back, rest; or a lead-in and four swings.
     whole = rest + (4.0 * length if kind == "sine" else 2.0 * (length + rest))
     stretch = 1.0 if duration is None else duration / whole
@@ -116,26 +104,49 @@ def make_reference(
             "a smaller amplitude or a faster controller"
         )
     t = np.arange(max(int(whole * stretch / controller.sample_time), 2)) * controller.sample_time
-    zero = np.zeros_like(t)
     if kind == "sine":
-        w = 2.0 * math.pi / length
-        on = np.clip((t - lead) / length, 0.0, 1.0)
-        # The swing grows over its first period, smoothly to the second derivative.
-        grow = on**3 * (10 - 15 * on + 6 * on**2)
-        grow1 = 30 * on**2 * (1 - on) ** 2 / length
-        grow2 = 60 * on * (1 - on) * (1 - 2 * on) / length**2
-        s, c = np.sin(w * (t - lead)), np.cos(w * (t - lead))
-        half = 0.5 * size
-        return Reference(
-            kind, t, begin + half * grow * s, half * (grow1 * s + grow * w * c),
-            half * (grow2 * s + 2 * grow1 * w * c - grow * w * w * s),
-        )  # fmt: skip
+        position, velocity, acceleration = _swing(t, lead, length, 0.5 * size)
+        return Reference(kind, t, begin + position, velocity, acceleration)
     back = lead + length + rest
     if kind == "step":
+        zero = np.zeros_like(t)
         return Reference(kind, t, begin + np.where((t >= lead) & (t < back), size, 0.0), zero, zero)
     there, again = _move(t, lead, length, size), _move(t, back, length, -size)
     position, velocity, acceleration = (a + b for a, b in zip(there, again, strict=True))
     return Reference(kind, t, begin + position, velocity, acceleration)
+
+
+def _motion_length(kind: str, controller: Controller, size: float) -> float:
+    """The time of one move, or the period of a sine, s: within the axis' reach and slower than the loop. Raises
+    BadInput for a controller that reaches nothing.
+    """
+    speed, pull = SHARE * min(controller.reachable_speed, 1e6), SHARE * controller.reachable_acceleration
+    if not (speed > 0.0 and pull > 0.0):
+        raise BadInput(
+            f"the controller reaches {controller.reachable_speed:g} {controller.axis_unit}/s and "
+            f"{controller.reachable_acceleration:g} {controller.axis_unit}/s^2: both must be above 0; design it anew"
+        )
+    slow = 1.0 / controller.bandwidth
+    if kind == "minimum-jerk":
+        return max(1.875 * size / speed, math.sqrt(5.7735 * size / pull), 3.0 * slow)
+    if kind == "sine":
+        return 2.0 * math.pi * max(0.5 * size / speed, math.sqrt(0.5 * size / pull), slow)
+    return max(2.0 * size / speed, 4.0 * math.sqrt(size / pull), 4.0 * slow)
+
+
+def _swing(t: FloatArray, begin: float, period: float, half: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A sine of amplitude `half`, which grows over its first period, smoothly to the second derivative."""
+    w = 2.0 * math.pi / period
+    on = np.clip((t - begin) / period, 0.0, 1.0)
+    grow = on**3 * (10 - 15 * on + 6 * on**2)
+    grow1 = 30 * on**2 * (1 - on) ** 2 / period
+    grow2 = 60 * on * (1 - on) * (1 - 2 * on) / period**2
+    s, c = np.sin(w * (t - begin)), np.cos(w * (t - begin))
+    return (
+        half * grow * s,
+        half * (grow1 * s + grow * w * c),
+        half * (grow2 * s + 2 * grow1 * w * c - grow * w * w * s),
+    )
 
 
 def read_reference(path: Path, controller: Controller) -> Reference:
