@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from twin.errors import BadInput
 from twin.io.faults import find_resolution
 from twin.io.recording import Loop, Recording, load
+from twin.io.rig_file import read_rig
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 ROOT = Path(__file__).resolve().parents[2]
@@ -135,6 +136,32 @@ def test_counts_fix_the_resolution(tmp_path: Path) -> None:
     assert recording.resolution == pytest.approx(2 * math.pi / 4096)
     np.testing.assert_allclose(recording.output, ANGLE, atol=recording.resolution / 2 + 1e-12)
     assert "(0.00153 per count)" in repr(recording)
+
+
+@pytest.mark.parametrize(
+    ("output", "angle", "speed"),
+    [
+        ('unit = "count"\ncounts_per_revolution = 4096', ("counts", 4096.0), ("counts/s", 4096.0)),
+        ('unit = "count"\ncounts_per_revolution = 4096\nscale = -0.5', ("counts", 8192.0), ("counts/s", 8192.0)),
+        ('unit = "deg"', ("deg", 360.0), ("deg/s", 360.0)),
+        ('unit = "rpm"', ("deg", 360.0), ("rpm", 60.0)),
+        ('unit = "rev"', ("deg", 360.0), ("rpm", 60.0)),
+        ('unit = "rad"', None, None),
+        ('unit = "count"', None, None),  # the axis itself moves in counts
+    ],
+)
+def test_a_turn_in_the_rig_s_own_unit(
+    tmp_path: Path, output: str, angle: tuple[str, float] | None, speed: tuple[str, float] | None
+) -> None:
+    """And a turn per second."""
+    (tmp_path / "rig.toml").write_text(RIG.replace('unit = "rad"', output))
+    rig = read_rig(tmp_path / "rig.toml")
+    for unit, wanted in (("rad", angle), ("rad/s", speed)):
+        own = rig.own_unit(unit)
+        assert (own is None) == (wanted is None)
+        if own and wanted:
+            assert own[0] == wanted[0] and 2.0 * math.pi * own[1] == pytest.approx(wanted[1])
+    assert rig.own_unit("rad/s^2") is None and rig.own_unit("1") is None and rig.own_unit("m") is None
 
 
 def test_counts_per_second(tmp_path: Path) -> None:

@@ -10,8 +10,9 @@ from example_diagnosis import RIG, example, model_of, recording_of
 
 from twin.control import cosimulation, design
 from twin.diagnosis import result
-from twin.display.numbers import measure, percent
+from twin.display.numbers import measure, percent, time_left
 from twin.estimation import two_stage
+from twin.io.rig_file import Column
 from twin.report import figures, html, wording
 from twin.report.html import Check, Story
 from twin.report.origin import trace_origin
@@ -93,6 +94,14 @@ def test_a_sign_is_explained_where_it_stands():
     changing = replace(example(), after=model_of("load_change"))
     assert "square bracket" in Page(html.html(story(diagnosis=changing))).text
     assert "square bracket" not in Page(html.html(story())).text
+
+
+def test_angles_stand_in_the_rig_s_own_unit_beside_si():
+    degrees = Column("q", "rad", factor=np.pi / 180.0, written="deg")
+    after = example().after
+    gap = measure(np.degrees(after.values["backlash_gap"]), np.degrees(after.std("backlash_gap")), "deg")
+    page = html.html(story(rig=replace(RIG, output=degrees)))
+    assert gap in page and gap not in html.html(story())
 
 
 def test_text_from_files_is_escaped():
@@ -213,6 +222,20 @@ def test_chain_marks_the_station():
 )
 def test_numbers_are_put_into_words(value, std, unit, says):
     assert measure(value, std, unit) == says
+
+
+@pytest.mark.parametrize(
+    ("seconds", "done", "total", "says"),
+    [
+        (0.0, 0, 5, ""),
+        (60.0, 2, 6, ", about 2 min left"),
+        (9e3, 1, 2, ", about 2 h left"),
+        (20.0, 4, 5, ", about 5 s left"),
+        (5.0, 5, 5, ""),
+    ],
+)
+def test_the_rest_of_like_work_takes_as_long_as_what_is_done(seconds, done, total, says):
+    assert time_left(seconds, done, total) == says
 
 
 def test_certainty_is_never_claimed():

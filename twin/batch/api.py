@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import os
+import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from twin.batch.axis_run import FAILED, AxisResult, Task, run_axis, stored_resul
 from twin.batch.execution import WorkerDied, run_local, run_on_cluster
 from twin.batch.overview import Fleet, columns, overview, to_json
 from twin.batch.page import fleet_page
+from twin.display.numbers import time_left
 from twin.errors import BadInput
 from twin.io.files import json_text, put
 from twin.io.manifest import read_fleet
@@ -107,10 +109,12 @@ def fleet(
     results = {t.axis.name: r for t in tasks if (r := stored_result(t)) is not None}
     left = [t for t in tasks if t.axis.name not in results]
     tell(f"{len(results)} of {len(tasks)} axes", len(results) / len(tasks))
-    for i, outcome in _outcomes(left, scheduler):
+    began = time.perf_counter()
+    for done, (i, outcome) in enumerate(_outcomes(left, scheduler), start=1):
         name = left[i].axis.name
         results[name] = outcome if isinstance(outcome, AxisResult) else _ended(name, outcome)
-        tell(f"{len(results)} of {len(tasks)} axes", len(results) / len(tasks))
+        rest = time_left(time.perf_counter() - began, done, len(left))
+        tell(f"{len(results)} of {len(tasks)} axes{rest}", len(results) / len(tasks))
     found = overview([results[axis.name] for axis in axes])
     write_overview(found, folder)
     return found

@@ -47,7 +47,7 @@ def _identify(args: argparse.Namespace) -> int:
         wording.recordings_sentence(recordings),
         *fault_lines(recordings),
         f"{args.out}: {found.structure}, by the {args.method} method:",
-        *parameter_lines(found),
+        *parameter_lines(found, rig),
         *prior_sentences(found),
         *free_run_error.sentences(errors, found, recordings[0].output_unit),
     ]

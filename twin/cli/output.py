@@ -123,9 +123,10 @@ def parameters_to_json(model: Model) -> dict[str, Any]:
     return found
 
 
-def parameter_lines(model: Model) -> list[str]:
+def parameter_lines(model: Model, rig: Rig) -> list[str]:
+    """A line for each parameter, with the rig's own unit beside SI."""
     from twin.display.numbers import measure
-    from twin.report.wording import undetermined_sentence
+    from twin.report.wording import in_rig_unit, undetermined_sentence
 
     width = max(len(p.name) for p in model.structure.parameters)
     lines = []
@@ -133,9 +134,9 @@ def parameter_lines(model: Model) -> list[str]:
         if p.name in model.undetermined:
             continue
         value = measure(model.values[p.name], model.std(p.name), model.unit(p.name))
-        torque = model.torque(p.name)
+        same = [t for t in (in_rig_unit(model, p.name, rig), model.torque(p.name)) if t]
         note = f"  ({model.notes[p.name]})" if p.name in model.notes else ""
-        lines.append(f"  {p.name:<{width}}  {value}{torque and f' = {torque}'}{note}")
+        lines.append(f"  {p.name:<{width}}  {' = '.join([value, *same])}{note}")
     if lost := undetermined_sentence(model):
         lines.append(f"  {lost}")
     return lines

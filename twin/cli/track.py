@@ -126,6 +126,7 @@ def _sentences(history: Track, forecasts: Sequence[Forecast]) -> list[str]:
 def _judge(args: argparse.Namespace, model: Model, tell: Progress) -> None:
     """Fit what is new, judge all, and write the answer."""
     from twin.diagnosis.tracking import forecast, track
+    from twin.display.numbers import time_left
     from twin.fmi import python_fmu
     from twin.io.files import json_text, put
     from twin.report.trend import trend_page
@@ -134,9 +135,11 @@ def _judge(args: argparse.Namespace, model: Model, tell: Progress) -> None:
     if not logs:
         raise BadInput(f"{args.log[0]} holds no recordings")
     kept = None if args.out is None else args.out / "fits"
-    fits = []
+    fits: list[Model] = []
+    began = time.perf_counter()
     for i, log in enumerate(logs):
-        tell(f"fitting {log.name}", 0.05 + 0.9 * i / len(logs))
+        left = time_left(time.perf_counter() - began, i, len(logs))
+        tell(f"fitting {log.name}, {i + 1} of {len(logs)}{left}", 0.05 + 0.9 * i / len(logs))
         fits.append(_fit(model, log, args.rig, kept))
     history = track(model, fits, [log.name for log in logs], args.false_alarms)
     limits = _limits(args.limit, model)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from twin.diagnosis.change import changes_sentence, compare_models
 from twin.diagnosis.result import Diagnosis, Fitness
 from twin.diagnosis.tracking import FALSE_ALARMS, Track
 from twin.diagnosis.tracking import track as judge
+from twin.display.numbers import time_left
 from twin.errors import BadInput
 from twin.estimation import estimate, local_optima, maximum_likelihood
 from twin.io.api import as_list
@@ -157,8 +159,9 @@ def track(
         raise BadInput("there is no recording to follow: give at least one")
     tell = progress or (lambda sentence, share: None)
     estimate.compile_kernel(tell)
-    fits = []
+    fits, began = [], time.perf_counter()
     for i, r in enumerate(recordings):
-        tell(f"fitting {r.name}", i / len(recordings))
+        left = time_left(time.perf_counter() - began, i, len(recordings))
+        tell(f"fitting {r.name}, {i + 1} of {len(recordings)}{left}", i / len(recordings))
         fits.append(fit_again(model, r))
     return judge(model, fits, [r.name for r in recordings], false_alarms)

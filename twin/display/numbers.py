@@ -70,6 +70,20 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.0f}\u202f%"
 
 
+def time_left(seconds: float, done: int, total: int) -> str:
+    """What the rest of so many like pieces of work takes, where `done` of them took `seconds`: ", about 4 min left".
+
+    Nothing before the first is done, and after the last.
+    """
+    if not 0 < done < total:
+        return ""
+    left = seconds / done * (total - done)
+    for unit, length in (("h", 3600.0), ("min", 60.0)):
+        if left > 1.5 * length:
+            return f", about {left / length:.0f} {unit} left"
+    return f", about {max(left, 1.0):.0f} s left"
+
+
 def listed(words: Sequence[str]) -> str:
     """a, b and c."""
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))

@@ -18,6 +18,7 @@ from twin.io.units import (
     INPUT_UNITS,
     OPTIONAL_UNITS,
     OUTPUT_UNITS,
+    POSITION_UNITS,
     TIME_UNITS,
     ZERO_CELSIUS,
     Units,
@@ -48,6 +49,7 @@ class Column:
     offset: float = 0.0
     scale: float = 1.0
     factor: float = 1.0  # from the unit that the user wrote to `unit`
+    written: str = ""  # the unit that the user wrote
     zero: float = 0.0
     resolution: float | None = None  # in `unit`; None: to be found from the data
     turn: float | None = None  # raw units per full turn, when the raw values are an angle
@@ -106,6 +108,23 @@ class Rig:
     refresh: float | None = None  # s, how often the sensor is read anew; None: not known
     effects: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
+
+    def own_unit(self, unit: str) -> tuple[str, float] | None:
+        """The unit in which the rig logs an angle, a length or its speed, and how many of it make one of `unit`.
+
+        None where it logs in `unit` itself, or nothing of that kind. A speed in revolutions is in rpm, and an angle of
+        such a rig in degrees.
+        """
+        axis = self.output.unit.removesuffix("/s")
+        logged = "rev" if self.output.written == "rpm" else self.output.written.removesuffix("/s")
+        if unit not in (axis, f"{axis}/s") or logged in ("", axis):
+            return None
+        speed = unit != axis
+        if logged == "rev":
+            return ("rpm", 30.0 / math.pi) if speed else ("deg", 180.0 / math.pi)
+        counted = logged == "count"
+        factor = abs(self.output.factor * self.output.scale) if counted else POSITION_UNITS[logged][1]
+        return f"{logged}{'s' if counted else ''}{'/s' if speed else ''}", 1.0 / factor
 
     def __repr__(self) -> str:
         return (
@@ -250,6 +269,7 @@ def _column(table: Mapping[str, Any], units: Units, where: str, more: Sequence[s
         offset=_number(table, "offset", where) if "offset" in table else 0.0,
         scale=scale,
         factor=factor,
+        written=written or "",
         zero=ZERO_CELSIUS if written == "degC" else 0.0,
         resolution=resolution,
         turn=turn,

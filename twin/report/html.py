@@ -358,18 +358,22 @@ def _ranking(story: Story) -> str:
     return _section("rivals", "Rival explanations", *parts)
 
 
+def _value_cell(model: Model, parameter: str, rig: Rig | None) -> str:
+    """The value with its standard error, and the same in the rig's own unit below it."""
+    own = wording.in_rig_unit(model, parameter, rig)
+    value = measure(model.values[parameter], model.std(parameter), model.unit(parameter))
+    return escape(value) + (f'<span class="note">{escape(own)}</span>' if own else "")
+
+
 def _parameters(story: Story) -> str:
     before, after = story.diagnosis.before, story.diagnosis.after
     rows: list[tuple[str, ...]] = []
     for p in after.structure.parameters:
         if p.name in after.undetermined:
             continue
-        old = (
-            measure(before.values[p.name], before.std(p.name), before.unit(p.name))
-            if p.name in before.values and p.name not in before.undetermined
-            else "–"
-        )
-        new = measure(after.values[p.name], after.std(p.name), after.unit(p.name))
+        known = p.name in before.values and p.name not in before.undetermined
+        old = _value_cell(before, p.name, story.rig) if known else "–"
+        new = _value_cell(after, p.name, story.rig)
         more = [escape(after.notes[p.name])] if p.name in after.notes else []
         if p.name in after.intervals:
             low, high = after.intervals[p.name]
@@ -378,7 +382,7 @@ def _parameters(story: Story) -> str:
             more.append("held fixed")
         meaning = escape(p.meaning) + (f'<span class="note">{"; ".join(more)}</span>' if more else "")
         symbol = figures.math_svg(latex.symbol(p.name, after.axis_unit))
-        rows.append((symbol, f"<code>{p.name}</code>", meaning, escape(old), escape(new)))
+        rows.append((symbol, f"<code>{p.name}</code>", meaning, old, new))
     head = ["", "parameter", "meaning", "first model", "improved model"]
     kinds = ["symbol", "", "", "number", "number"]
     if len(figures.models(story.diagnosis)) == 1:

@@ -6,14 +6,14 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from twin.display.numbers import listed, number, percent, unit_text
+from twin.display.numbers import listed, measure, number, percent, unit_text
 from twin.effects.catalogue import EFFECTS, UNKNOWN
 
 if TYPE_CHECKING:
     from twin.control.cosimulation import Tracking
     from twin.diagnosis.residual_torque import Segment
     from twin.diagnosis.result import Diagnosis, Fitness, Undecided
-    from twin.io.recording import Recording
+    from twin.io.recording import Recording, Rig
     from twin.model.fitted_model import Model
 
 #: The variables that a misfit may go with, in plain words.
@@ -33,6 +33,15 @@ def undetermined_sentence(model: Model) -> str:
     names = listed([n.replace("_", " ") for n in model.undetermined])
     remedies = dict.fromkeys(model.notes[n].rsplit(";", 1)[-1].strip() for n in model.undetermined)
     return f"Not determined by this recording: {names}. What would help: {'; '.join(remedies)}."
+
+
+def in_rig_unit(model: Model, parameter: str, rig: Rig | None) -> str:
+    """A parameter in the unit in which its rig logs, with its standard error; "" where that is the model's own."""
+    own = None if rig is None else rig.own_unit(model.unit(parameter))
+    if own is None:
+        return ""
+    unit, factor = own
+    return measure(factor * model.values[parameter], factor * model.std(parameter), unit)
 
 
 def title(effect: str) -> str:
