@@ -21,7 +21,7 @@ import json
 import math
 import multiprocessing
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -113,6 +113,18 @@ def summary(outcomes: Sequence[Outcome], remains: Mapping[str, Left]) -> str:
     return "\n".join(lines)
 
 
+def computed(outcomes: Sequence[Outcome], processes: int) -> Iterator[Left]:
+    """What is left of each, in their order; by this process alone where one is asked for. Raises as `left` does."""
+    if processes == 1:
+        yield from map(left, outcomes)
+        return
+    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
+        try:
+            yield from pool.map(left, outcomes)
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("trials", type=Path, nargs="+", metavar="FILE", help="of blind_trial.py --json")
@@ -125,15 +137,13 @@ def main(arguments: list[str] | None = None) -> None:
     except (OSError, ValueError, KeyError, TypeError) as error:
         parser.error(f"what was read is no study and what is left of it: {error}")
     open_ = [o for o in outcomes if o.visible and o.label.effects and o.seal not in remains]
-    with ProcessPoolExecutor(given.processes, multiprocessing.get_context("spawn")) as pool:
-        try:
-            for o, found in zip(open_, pool.map(left, open_), strict=True):
-                remains[o.seal] = found
-                with given.json.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps({"seal": o.seal, "left": found.each, "answer": found.answer}) + "\n")
-        except ValueError as error:
-            pool.shutdown(cancel_futures=True)
-            parser.error(str(error))
+    try:
+        for o, found in zip(open_, computed(open_, given.processes), strict=True):
+            remains[o.seal] = found
+            with given.json.open("a", encoding="utf-8") as file:
+                file.write(json.dumps({"seal": o.seal, "left": found.each, "answer": found.answer}) + "\n")
+    except ValueError as error:
+        parser.error(str(error))
     print(summary(outcomes, remains))
 
 

@@ -519,32 +519,6 @@ def test_names_that_leave_little_are_doubted_where_they_took_less_than_depends_o
     assert drawn or nameless is first
 
 
-@pytest.mark.parametrize(
-    ("probability", "chance", "drawn"), [(0.95, 1e-6, False), (0.8, 1e-6, True), (0.95, 1e-3, True)]
-)
-def test_curves_are_drawn_beside_a_name_that_is_not_sure(monkeypatch, probability, chance, drawn):
-    case, first = fitted("drag")
-    last = with_name(case, first, "quadratic_drag")
-    monkeypatch.setattr(diagnose, "_probabilities", lambda found: ({"quadratic_drag": probability}, ()))
-    before, after = (nonparametric.remaining_dependence(case, p.structure, p.values) for p in (first, last))
-    little = replace(after, share=0.5 * thresholds.FAINT_SHARE, size=0.0)
-    tried = []
-    monkeypatch.setattr(nonparametric, "fit_curve", lambda cases, sketched: tried.append(sketched) or sketched)
-    diagnose._best_curve(SearchResult(first, last, (), FitProblem((case,))), before, little, {"quadratic_drag": chance})
-    assert bool(tried) is drawn
-
-
-@pytest.mark.parametrize(("gain", "relocated"), [(1e6, True), (-1e6, False)])
-def test_gap_and_teeth_are_looked_for_anew_only_beside_curves_that_come_near_the_names(monkeypatch, gain, relocated):
-    case, first = fitted("hump")
-    last = replace(with_name(case, first, "quadratic_drag"), deviance=first.deviance + gain)
-    moved = []
-    monkeypatch.setattr(nonparametric, "restart_curve_gap", lambda cases, point: moved.append(point) or point)
-    before = nonparametric.remaining_dependence(case, first.structure, first.values)
-    diagnose._best_curve(SearchResult(first, last, (), FitProblem((case,))), before, before, {})
-    assert bool(moved) is relocated
-
-
 def test_a_knot_that_saw_nothing_that_is_judged_is_on_the_line_between_its_neighbours():
     case, first = fitted("drag")
     time = case.drive.time

@@ -18,15 +18,21 @@ from twin.model import equations
 from twin.model.stepper import Structure
 
 
+def grids_beside(
+    missing: residual_torque.MissingTorque, recording: Recording, structure: Structure
+) -> dict[str, list[dict[str, float]]]:
+    """What is tried of each candidate where this torque is missing."""
+    case = prepared_recording.prepare_recording(recording, structure)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(residual_torque, "missing_torque", lambda *args: missing)
+        return screening.trial_grids(FitProblem([case]), structure, preparation.complete_values(structure, {}))
+
+
 def tried_beside(
     missing: residual_torque.MissingTorque, recording: Recording, structure: Structure, effect: str, name: str
 ) -> list[float]:
     """What is tried of a candidate's parameter where this torque is missing."""
-    case = prepared_recording.prepare_recording(recording, structure)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(residual_torque, "missing_torque", lambda *args: missing)
-        tried = screening.trial_grids(FitProblem([case]), structure, preparation.complete_values(structure, {}))[effect]
-    return [row[name] for row in tried]
+    return [row[name] for row in grids_beside(missing, recording, structure)[effect]]
 
 
 def lines(position, torque, effect: str, name: str, unit: str = "rad", pushed=None) -> list[float]:
@@ -43,15 +49,13 @@ def lines(position, torque, effect: str, name: str, unit: str = "rad", pushed=No
 
 @pytest.mark.parametrize("end", [0.5, 30.0, 30000.0])
 @pytest.mark.parametrize("ids", [("inertia", "dead_band"), ("inertia", "viscous_friction", "dead_band")])
-def test_every_candidate_is_tried_however_long_the_recording(monkeypatch, end: float, ids: tuple[str, ...]) -> None:
+def test_every_candidate_is_tried_however_long_the_recording(end: float, ids: tuple[str, ...]) -> None:
     """A fade within its bounds, and also beside a first model that knows no viscous friction."""
     time, structure = np.linspace(0.0, end, 2001), Structure.of(ids)
     wave = np.sin(20.0 * np.pi * time / end)
     recording = Recording("made", time, 30.0 * wave, 5.0 * wave, "%", "rad", 1e-4)
     missing = residual_torque.MissingTorque(time, wave, 5.0 * wave, wave, wave, 30.0 * wave, float(time[1]))
-    monkeypatch.setattr(residual_torque, "missing_torque", lambda *args: missing)
-    case = prepared_recording.prepare_recording(recording, structure)
-    tried = screening.trial_grids(FitProblem([case]), structure, preparation.complete_values(structure, {}))
+    tried = grids_beside(missing, recording, structure)
     assert set(tried) == set(CANDIDATES) and all(tried.values())
     times = [row["fade_time"] for row in tried["thermal_fade"]]
     assert all(1.0 <= t <= 3600.0 for t in times) and len(times) == len(set(times))

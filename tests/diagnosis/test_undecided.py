@@ -212,26 +212,32 @@ def test_a_round_that_nothing_won_says_nothing_of_what_later_took_a_place():
     assert [(h.added, behind) for h, behind in contest.rivals] == [(("input_delay",), -4.0)]
 
 
-def test_a_rattling_rig_is_said_to_hide_effects(monkeypatch):
+@pytest.fixture
+def roughness(monkeypatch):
+    """Of the likelihood: none, or what a test appends."""
+    given = [0.0]
+    monkeypatch.setattr(maximum_likelihood, "roughness", lambda cases, point: given[-1])
+    return given
+
+
+def test_a_rattling_rig_is_said_to_hide_effects(roughness):
     fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(0.05, 0.5, math.nan)}}
     for rough, rattles in ((0.5 * thresholds.MIN_GAIN, False), (2.0 * thresholds.MIN_GAIN, True)):
-        monkeypatch.setattr(maximum_likelihood, "roughness", lambda cases, point, rough=rough: rough)
+        roughness.append(rough)
         said = diagnose._remarks(searched(500.0), fit)
         assert [s.startswith("The motor rattles in its gap") for s in said] == ([True] if rattles else [])
 
 
 @pytest.mark.parametrize(("after", "worse"), [(0.05, False), (0.2, True)])
-def test_a_larger_model_that_held_out_data_speak_against_is_said_to_be(monkeypatch, after, worse):
+def test_a_larger_model_that_held_out_data_speak_against_is_said_to_be(roughness, after, worse):
     """A curve without a name no less than a name."""
     fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(after, 10.0 * after, math.nan)}}
-    monkeypatch.setattr(maximum_likelihood, "roughness", lambda cases, point: 0.0)
     said = diagnose._remarks(searched(500.0), fit)
     assert [s.startswith("The likelihood prefers the larger") for s in said] == [True] * worse
 
 
-def test_what_is_followed_but_not_judged_is_said(monkeypatch):
+def test_what_is_followed_but_not_judged_is_said(roughness):
     fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(0.05, 0.5, math.nan)}}
-    monkeypatch.setattr(maximum_likelihood, "roughness", lambda cases, point: 0.0)
     hidden = {"calm": None, "loud": np.array([True, False, False, False])}
     cases = [SimpleNamespace(recording=SimpleNamespace(name=n), rattle_mask=h) for n, h in hidden.items()]
     (said,) = diagnose._remarks(replace(searched(500.0), problem=SimpleNamespace(recordings=cases)), fit)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -130,7 +129,6 @@ def test_each_visible_trial_is_computed_once(tmp_path, monkeypatch, capsys) -> N
         write(tmp_path / "trials.jsonl", o)
     arguments = [str(tmp_path / "trials.jsonl"), "--json", str(tmp_path / "left.jsonl"), "--processes", "1"]
     monkeypatch.setattr(absorbed, "KINDS", ("single",))
-    monkeypatch.setattr(absorbed, "ProcessPoolExecutor", lambda *_: ThreadPoolExecutor(1))
     main(arguments)
     first = capsys.readouterr().out
     assert len((tmp_path / "left.jsonl").read_text(encoding="utf-8").splitlines()) == len(visible)
@@ -139,15 +137,14 @@ def test_each_visible_trial_is_computed_once(tmp_path, monkeypatch, capsys) -> N
     assert capsys.readouterr().out == first and "said nothing" in first
 
 
-def test_a_trial_that_is_drawn_otherwise_is_refused(tmp_path, monkeypatch, capsys) -> None:
+def test_a_trial_that_is_drawn_otherwise_is_refused(tmp_path, capsys) -> None:
     one = next(o for o in (opened(trial=t) for t in range(3, 9)) if o.visible)
     other = replace(one.label, trial=one.label.trial + 1)
     with pytest.raises(ValueError, match="is drawn otherwise here"):
         left(replace(one, label=other))
     write(tmp_path / "trials.jsonl", replace(one, label=other, seal=seal(other, "salt")))
-    monkeypatch.setattr(absorbed, "ProcessPoolExecutor", lambda *_: ThreadPoolExecutor(1))
     with pytest.raises(SystemExit) as stopped:
-        main([str(tmp_path / "trials.jsonl"), "--json", str(tmp_path / "left.jsonl")])
+        main([str(tmp_path / "trials.jsonl"), "--json", str(tmp_path / "left.jsonl"), "--processes", "1"])
     assert stopped.value.code == 2 and "is drawn otherwise here" in capsys.readouterr().err
     assert not (tmp_path / "left.jsonl").exists()
 

@@ -291,7 +291,7 @@ def test_the_tool_gets_the_recording_alone_and_the_truth_only_after_a_wrong_answ
 
 def test_two_trials(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "trials.jsonl"
-    options = ["--trials", "2", "--seed", "3", "--duration", "12", "--processes", "1", "--kinds", "single,none"]
+    options = ["--trials", "2", "--seed", "3", "--duration", "6", "--processes", "1", "--kinds", "single,none"]
     main([*options, "--json", str(path)])
     printed = capsys.readouterr().out
     outcomes = read(path)
@@ -299,7 +299,7 @@ def test_two_trials(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for o in outcomes:
         sealed, opened = printed.index(f"sealed {o.seal}"), printed.index(f"label {o.label.text()} salt {o.salt}")
         assert sealed < opened
-        label, salt, _ = make(3, o.label.trial, ("single", "none"), 12.0)
+        label, salt, _ = make(3, o.label.trial, ("single", "none"), 6.0)
         assert (label, salt) == (o.label, o.salt)
         assert o.answer.verdict != FAILED and o.answer.before > 0.0 and o.answer.after > 0.0, o.answer
     assert not any(word in printed[: printed.index("opened")] for word in VOCABULARY)
