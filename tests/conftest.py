@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import PurePosixPath
 
@@ -35,3 +36,12 @@ class ByFile(LoadScopeScheduling):
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> ByFile:
     return ByFile(config, log)
+
+
+@pytest.fixture
+def no_zig() -> Iterator[None]:
+    """Native FMUs for this machine alone."""
+    from native_axis import without_zig
+
+    with without_zig():
+        yield

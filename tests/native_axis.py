@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from twin.effects.catalogue import UNKNOWN
+from twin.fmi import compilers
 from twin.model import stepper
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
@@ -64,6 +68,14 @@ NAMES = ("position", "velocity", "position_measured", "gap", "motor_velocity", "
 COLUMNS = (0, 1, None, 2, 3, 4, 5, 6, 7, 8)
 #: Exact in binary, so that stamps, spans and edges of the delay carry no rounding for the motion to amplify.
 PERIOD = 2.0**-9
+
+
+@contextmanager
+def without_zig() -> Iterator[None]:
+    """Native FMUs are made for this machine alone: one platform takes a fifth of the time of all."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compilers, "has_zig", lambda: False)
+        yield
 
 
 def model_of(structure: Structure, **values: float) -> Model:

@@ -27,8 +27,8 @@ from twin.diagnosis import diagnose, result
 from twin.effects.catalogue import EFFECTS, UNKNOWN
 from twin.estimation import estimate, two_stage
 from twin.estimation.preparation import base_structure
-from twin.fmi import compilers, evidence, python_fmu
-from twin.io import files, recording
+from twin.fmi import evidence, python_fmu
+from twin.io import files
 from twin.model import fitted_model
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
@@ -251,10 +251,10 @@ def test_what_is_read_is_written_over_by_no_force(capsys, bench, arguments):
 
 
 @pytest.mark.parametrize(
-    "arguments", [["run", "good.csv", "--out", "new"], ["control", "model.toml", "--out", "n.toml"]]
+    "arguments", [["run", "nowhere.csv", "--out", "new"], ["control", "nowhere.toml", "--out", "n.toml"]]
 )
-def test_a_bandwidth_that_no_controller_has_is_refused_at_once(capsys, bench, monkeypatch, arguments):
-    monkeypatch.setattr(recording, "load", None)
+def test_a_bandwidth_that_no_controller_has_is_refused_at_once(capsys, bench, arguments):
+    """Before anything is read."""
     for value in ("-1", "0", "nan", "inf"):
         assert "--bandwidth" in refused(capsys, bench, *arguments, "--bandwidth", value)
 
@@ -456,15 +456,13 @@ def test_two_stage_says_what_it_lacks(capsys, bench):
 
 
 @pytest.fixture
-def known_answer(monkeypatch):
+def known_answer(monkeypatch, no_zig):
     def answer(recordings, first, held=None, progress=None, closed=False):
         progress("searching", 0.5)
         answer.first = first
         return example()
 
     monkeypatch.setattr(diagnose, "diagnose", answer)
-    monkeypatch.setattr(estimate, "compile_kernel", lambda tell: None)
-    monkeypatch.setattr(compilers, "has_zig", lambda: False)  # one platform is enough here, and five take long
     return answer
 
 
@@ -555,7 +553,6 @@ def fail(*_, **__):
 
 
 def test_a_failing_diagnosis_leaves_the_first_model(capsys, bench, monkeypatch):
-    monkeypatch.setattr(estimate, "compile_kernel", lambda tell: None)
     monkeypatch.setattr(estimate, "identify", lambda *_, **__: model_of())
     monkeypatch.setattr(diagnose, "diagnose", fail)
     code, out, err = call(capsys, "run", "good.csv", "--out", "out", "--json", "run.json")
@@ -566,7 +563,6 @@ def test_a_failing_diagnosis_leaves_the_first_model(capsys, bench, monkeypatch):
 
 
 def test_where_no_model_is_found_nothing_is_left_behind(capsys, bench, monkeypatch):
-    monkeypatch.setattr(estimate, "compile_kernel", lambda tell: None)
     monkeypatch.setattr(estimate, "identify", fail)
     monkeypatch.setattr(diagnose, "diagnose", fail)
     before = state(bench)

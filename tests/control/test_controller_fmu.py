@@ -23,7 +23,7 @@ from twin.control.cosimulation import make_reference, simulate
 from twin.control.design import design
 from twin.control.reference import Reference
 from twin.errors import BadInput
-from twin.fmi import compilers, native_fmu, python_fmu
+from twin.fmi import native_fmu, python_fmu
 from twin.fmi.fmu_archive import open_fmu
 from twin.fmi.fmu_instance import running
 from twin.fmi.ssp import write_ssp
@@ -36,10 +36,7 @@ KINDS: dict[str, Callable[[Controller, Path], Path]] = {
     "native 3": lambda made, out: controller_fmu.export_native(made, out, 3),
 }
 
-
-@pytest.fixture(autouse=True)
-def local_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compilers, "has_zig", lambda: False)
+pytestmark = pytest.mark.usefixtures("no_zig")
 
 
 @pytest.fixture(scope="module")

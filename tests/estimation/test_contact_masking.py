@@ -155,7 +155,7 @@ def test_without_its_rattle_a_recording_leads_to_the_truth_from_nearby() -> None
     assert case.rattle_mask is not None and 0.2 < case.rattle_mask.mean() < 0.8
     process_noise, free = filter_memory.process_noise_of(case, 0.1), free_parameters(TEETH)
     rng = np.random.default_rng(0)
-    starts = [{n: v * np.exp(0.1 * rng.standard_normal()) for n, v in SOFT.items()} for _ in range(64)]
+    starts = [{n: v * np.exp(0.1 * rng.standard_normal()) for n, v in SOFT.items()} for _ in range(24)]
 
     def astray(judged: PreparedRecording) -> list[float]:
         """How far above the truth's own maximum the climbs end, in deviance per reading that is judged."""

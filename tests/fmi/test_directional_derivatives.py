@@ -14,7 +14,6 @@ from fmpy.fmi3 import FMU3Slave
 from native_axis import PERIOD, command, model_of
 
 from twin.effects.catalogue import BASE
-from twin.fmi import compilers
 from twin.fmi.native_fmu import export_native
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
@@ -26,10 +25,7 @@ RICH = Structure.of((*BASE, "joint_elasticity", "coulomb_friction", "gravity", "
 LATE = Structure.of(("inertia", "viscous_friction", "gravity", "input_delay"))
 PLAIN = Structure.of(("inertia", "viscous_friction", "gravity", "quadratic_drag"))
 
-
-@pytest.fixture(autouse=True)
-def no_zig(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compilers, "has_zig", lambda: False)
+pytestmark = pytest.mark.usefixtures("no_zig")
 
 
 class Axis:

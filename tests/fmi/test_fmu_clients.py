@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import fmpy
@@ -17,9 +17,8 @@ import pytest
 from fmpy.build import build_platform_binary
 from native_axis import PERIOD, RIGID, by_kernel, command, model_of
 
-from twin.fmi import compilers
-from twin.fmi.native_fmu import export_native
 from twin.fmi.ssp import write_ssp
+from twin.model.stepper import Structure
 
 STEPS = 512
 
@@ -30,11 +29,8 @@ def needs(module: str) -> pytest.MarkDecorator:
 
 
 @pytest.fixture(scope="module")
-def fmus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[int, Path]]:
-    folder = tmp_path_factory.mktemp("clients")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compilers, "has_zig", lambda: False)
-        yield {fmi: export_native(model_of(RIGID), folder / f"axis{fmi}.fmu", fmi) for fmi in (2, 3)}
+def fmus(native_fmu_of: Callable[[Structure, int], Path]) -> dict[int, Path]:
+    return {fmi: native_fmu_of(RIGID, fmi) for fmi in (2, 3)}
 
 
 def expected() -> np.ndarray:

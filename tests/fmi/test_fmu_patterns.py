@@ -12,17 +12,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from native_axis import EVERYTHING, NAMES, PERIOD, RIGID, by_kernel, command, model_of
 
-from twin.fmi import compilers, python_fmu
+from twin.fmi import python_fmu
 from twin.fmi.fmu_archive import open_fmu
 from twin.fmi.fmu_instance import Running, running
-from twin.fmi.native_fmu import export_native
-from twin.model.fitted_model import Model
+from twin.model.stepper import Structure
 
-KINDS: dict[str, Callable[[Model, Path], Path]] = {
-    "python": python_fmu.export,
-    "native 2": lambda model, out: export_native(model, out, 2),
-    "native 3": lambda model, out: export_native(model, out, 3),
-}
+#: The FMI version of the native ones.
+KINDS = {"python": None, "native 2": 2, "native 3": 3}
 #: All effects are on in one of the two.
 AXES = {"rigid": RIGID, "elastic": EVERYTHING}
 SECONDS = 4.0
@@ -31,13 +27,19 @@ CHANGE = 1.25 + 2.0**-13
 
 
 @pytest.fixture(scope="module", params=list(itertools.product(AXES, KINDS)), ids=" ".join)
-def started(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Running]]:
+def started(
+    request: pytest.FixtureRequest,
+    tmp_path_factory: pytest.TempPathFactory,
+    native_fmu_of: Callable[[Structure, int], Path],
+) -> Iterator[tuple[str, Running]]:
     axis, kind = request.param
     out = tmp_path_factory.mktemp("patterns") / "axis.fmu"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compilers, "has_zig", lambda: False)
-        fmu = KINDS[kind](model_of(AXES[axis], load_time=CHANGE), out)
-    with running(open_fmu(fmu), ["duty"], NAMES) as instance:
+    model, fmi = model_of(AXES[axis], load_time=CHANGE), KINDS[kind]
+    if fmi is None:
+        python_fmu.export(model, out)
+    else:
+        python_fmu.update(native_fmu_of(AXES[axis], fmi), model, out)
+    with running(open_fmu(out), ["duty"], NAMES) as instance:
         yield axis, instance
 
 

@@ -9,10 +9,9 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi2 import FMU2Model
-from native_axis import by_kernel, model_of
+from native_axis import by_kernel, model_of, without_zig
 
 from twin.effects.catalogue import BASE
-from twin.fmi import compilers
 from twin.fmi.native_fmu import export_native
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
@@ -46,8 +45,7 @@ def duty() -> np.ndarray:
 def axis(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Model, Path]:
 
     model = model_of(STRUCTURES[request.param])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compilers, "has_zig", lambda: False)
+    with without_zig():
         return model, export_native(model, tmp_path_factory.mktemp("fmu") / f"{request.param}.fmu")
 
 

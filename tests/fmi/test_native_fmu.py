@@ -7,7 +7,7 @@ import math
 import shutil
 import xml.etree.ElementTree as ET
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import fmpy
@@ -20,7 +20,7 @@ from native_axis import EVERYTHING, NAMES, PERIOD, RIGID, abuse, by_kernel, comm
 
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
-from twin.fmi import compilers, native_fmu, python_fmu
+from twin.fmi import native_fmu, python_fmu
 from twin.fmi.native_fmu import export_native
 from twin.io.files import zipped
 from twin.model.fitted_model import Model
@@ -92,27 +92,17 @@ class Host:
 
 
 FMI = (2, 3)
-#: Everything that an outside solver can be given.
+#: Everything that an outside solver can be given, and a small axis of that kind.
 SOLVED = EVERYTHING.without("input_delay")
-
-
-@pytest.fixture(scope="module")
-def local(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[tuple[str, int], Path]]:
-    """FMUs for this machine only: the compilers for others have their own test."""
-    folder = tmp_path_factory.mktemp("fmus")
-    models = {"elastic": model_of(EVERYTHING), "rigid": model_of(RIGID)}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compilers, "has_zig", lambda: False)
-        yield {
-            (name, fmi): export_native(model, folder / f"{name}{fmi}.fmu", fmi)
-            for name, model in models.items()
-            for fmi in FMI
-        }
+TEETH = Structure.of((*BASE, "tooth_compliance", "coulomb_friction", "gravity"))
+OFFSET = Structure.of(("inertia", "viscous_friction", "constant_offset"))
 
 
 @pytest.fixture
-def no_zig(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compilers, "has_zig", lambda: False)
+def local(native_fmu_of: Callable[[Structure, int], Path]) -> dict[tuple[str, int], Path]:
+    """FMUs for this machine only: the compilers for others have their own test."""
+    axes = {"elastic": EVERYTHING, "rigid": RIGID}
+    return {(name, fmi): native_fmu_of(axis, fmi) for name, axis in axes.items() for fmi in FMI}
 
 
 def differ(a: np.ndarray, b: np.ndarray) -> float:
@@ -164,17 +154,19 @@ def test_reset_returns_to_the_start(local: dict, tmp_path: Path, fmi: int) -> No
 
 
 @pytest.mark.parametrize("fmi", FMI)
-def test_valid_description_with_units_and_same_bytes(local: dict, tmp_path: Path, fmi: int) -> None:
+def test_valid_description_with_units_and_same_bytes(local: dict, tmp_path: Path, no_zig: None, fmi: int) -> None:
     for name in ("elastic", "rigid"):
         assert validate_fmu(str(local[name, fmi])) == []
-    again = export_native(model_of(RIGID), tmp_path / "again.fmu", fmi)
-    with zipfile.ZipFile(again) as a, zipfile.ZipFile(local["rigid", fmi]) as b:
-        assert a.read("modelDescription.xml") == b.read("modelDescription.xml")
-        description = ET.fromstring(a.read("modelDescription.xml"))
-    other = export_native(model_of(RIGID, offset=0.1), tmp_path / "other.fmu", fmi)
+    made = {}
+    for name, offset in (("one", 0.0), ("again", 0.0), ("other", 0.1)):
+        fmu = export_native(model_of(OFFSET, offset=offset), tmp_path / f"{name}.fmu", fmi)
+        with zipfile.ZipFile(fmu) as archive:
+            made[name] = archive.read("modelDescription.xml")
+    assert made["one"] == made["again"] != made["other"]
     token = "guid" if fmi == 2 else "instantiationToken"
-    with zipfile.ZipFile(other) as c:
-        assert ET.fromstring(c.read("modelDescription.xml")).get(token) == description.get(token)
+    assert ET.fromstring(made["one"]).get(token) == ET.fromstring(made["other"]).get(token)
+    with zipfile.ZipFile(local["rigid", fmi]) as archive:
+        description = ET.fromstring(archive.read("modelDescription.xml"))
     units = {u.get("name") for u in description.iter("Unit")}
     assert {"rad", "rad/s", "%", "rad/s^2/%", "kg*m^2", "Hz"} <= units
 
@@ -289,7 +281,7 @@ def test_an_update_is_seen_by_every_importer_and_touches_no_code(local: dict, tm
 
 
 @pytest.mark.parametrize("fmi", FMI)
-def test_two_exports_side_by_side(local: dict, tmp_path: Path, fmi: int) -> None:
+def test_two_exports_side_by_side(local: dict, tmp_path: Path, no_zig: None, fmi: int) -> None:
     other = export_native(model_of(RIGID, gravity_gain=0.0), tmp_path / "other.fmu", fmi)
     u = command(1001)
     hosts = [Host(local["rigid", fmi], tmp_path / "a", "a"), Host(other, tmp_path / "b", "b")]
@@ -301,7 +293,7 @@ def test_two_exports_side_by_side(local: dict, tmp_path: Path, fmi: int) -> None
     assert differ(got[0], got[1]) > 0.01
 
 
-def test_no_overwriting_and_no_half_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_overwriting_and_no_half_file(tmp_path: Path, no_zig: None, monkeypatch: pytest.MonkeyPatch) -> None:
     model = model_of(Structure.of(("inertia",)))
     out = tmp_path / "a.fmu"
     out.write_text("mine")
@@ -309,7 +301,6 @@ def test_no_overwriting_and_no_half_file(tmp_path: Path, monkeypatch: pytest.Mon
         export_native(model, out)
     with pytest.raises(BadInput, match="is not a folder"):
         export_native(model, tmp_path / "no" / "a.fmu")
-    monkeypatch.setattr(compilers, "has_zig", lambda: False)
     monkeypatch.setattr(shutil, "which", lambda *_: None)
     monkeypatch.delenv("CC", raising=False)
     with pytest.raises(BadInput, match=r"pip install ziglang"):
@@ -323,9 +314,10 @@ def write_sources(model: Model, fmi: int, folder: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
-@pytest.mark.parametrize("fmi", FMI)
 @pytest.mark.parametrize(
-    "structure", [EVERYTHING, RIGID.without("input_delay"), SOLVED], ids=["all", "rigid", "solved"]
+    ("structure", "fmi"),
+    [(EVERYTHING, 2), (RIGID.without("input_delay"), 3), (SOLVED, 3), (TEETH, 2)],
+    ids=["all-2", "rigid-3", "solved-3", "teeth-2"],
 )
 def test_abuse_under_sanitizers(tmp_path: Path, structure: Structure, fmi: int) -> None:
     """No undefined behaviour, no leak, no memory taken after instantiation, whatever an importer calls."""
@@ -340,7 +332,7 @@ def test_abuse_under_sanitizers(tmp_path: Path, structure: Structure, fmi: int) 
 ALONE = {
     "motor": Structure.of(("inertia", "viscous_friction")),
     "friction": Structure.of(("inertia", "viscous_friction", "coulomb_friction", "stribeck_friction")),
-    "teeth": Structure.of((*BASE, "tooth_compliance", "coulomb_friction", "gravity")),
+    "teeth": TEETH,
     "all": SOLVED,
 }
 EDGES = ((0.0, 60.0), (1.0, -60.0), (2.0, 0.0), (2.5, 30.0), (4.0, 0.0))

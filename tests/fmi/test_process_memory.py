@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from example_diagnosis import model_of
 
-from twin.fmi import compilers, native_fmu, python_fmu
+from twin.fmi import native_fmu, python_fmu
 
 ROOT = Path(__file__).resolve().parents[2]
 CHECKER = "libc_malloc_debug.so.0"
@@ -45,8 +45,7 @@ def run(count: int, fmus: list[Path], **environment: str) -> subprocess.Complete
     return subprocess.run(told, env=more, capture_output=True, text=True, check=False)
 
 
-def test_two_hundred_under_the_malloc_checker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compilers, "has_zig", lambda: False)
+def test_two_hundred_under_the_malloc_checker(tmp_path: Path, no_zig: None) -> None:
     model = model_of("gravity")
     kinds = [python_fmu.export(model, tmp_path / "python.fmu")]
     kinds += [native_fmu.export_native(model, tmp_path / f"native{fmi}.fmu", fmi) for fmi in (2, 3)]

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,8 +16,7 @@ from fmpy.ssp.ssd import read_ssd, read_ssv
 from native_axis import RIGID, model_of
 
 from twin.errors import BadInput
-from twin.fmi import compilers
-from twin.fmi.native_fmu import export_native
+from twin.fmi import python_fmu
 from twin.fmi.ssp import write_ssp, write_ssv
 from twin.model.stepper import Structure
 from twin.model.variables import variables
@@ -42,12 +42,12 @@ MODEL = model_of(RIGID)
 
 
 @pytest.fixture(scope="module")
-def parts(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def parts(
+    tmp_path_factory: pytest.TempPathFactory, native_fmu_of: Callable[[Structure, int], Path]
+) -> tuple[Path, Path]:
     """A plant with other friction than the model's, and a controller."""
     folder = tmp_path_factory.mktemp("ssp")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compilers, "has_zig", lambda: False)
-        plant = export_native(model_of(RIGID, coulomb_friction=3.0), folder / "plant.fmu", 2)
+    plant = python_fmu.update(native_fmu_of(RIGID, 2), model_of(RIGID, coulomb_friction=3.0), folder / "plant.fmu")
     (folder / "proportional.py").write_text(CONTROLLER)
     build = [sys.executable, "-m", "pythonfmu", "build", "-f", "proportional.py"]
     subprocess.run(build, cwd=folder, check=True, capture_output=True)

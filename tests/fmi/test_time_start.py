@@ -12,7 +12,7 @@ import pytest
 
 from twin.codegen import modelica
 from twin.control.cosimulation import ModelPlant
-from twin.fmi import compilers, python_fmu
+from twin.fmi import python_fmu
 from twin.fmi.native_fmu import export_native
 from twin.io.recording import Recording
 from twin.model.fitted_model import Model, dumps, loads
@@ -21,11 +21,6 @@ from twin.model.variables import variables
 
 GAIN, DAMPING, ADDED, DUTY, STEP = 0.4, 1.5, 2.0, 20.0, 0.01
 TIME = STEP * np.arange(101)
-
-
-@pytest.fixture
-def no_zig(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compilers, "has_zig", lambda: False)
 
 
 def model_of(*effects: str, **values: float) -> Model:

@@ -269,7 +269,9 @@ class TestRealRecordings:
     def test_the_servo_runs_show_the_faults_of_their_list(self, tmp_path: Path) -> None:
         folder = SHARED / "data/sts3215_pendulum"
         with (folder / "manifest.csv").open() as stream:
-            rows = list(csv.DictReader(stream))
+            listed = list(csv.DictReader(stream))
+        rare = [r for r in listed if int(r["n_volt_dropouts"]) or float(r["frozen_s"])]
+        rows = [*rare, *(r for r in listed[::5] if r not in rare)]
         manifest = [(r, folder / "runs" / r["file"]) for r in rows]
         rig = (MODELS / "rigs/sts3215.toml").read_text()
         (tmp_path / "rig.toml").write_text(rig[: rig.index("[loop]")])  # its gain is in another manifest
@@ -277,8 +279,8 @@ class TestRealRecordings:
         for recording, (row, _) in zip(recordings, manifest, strict=True):
             says = [f.says for f in recording.faults]
             frozen = sum(f.end - f.start for f in recording.faults if f.kind == "freeze")
-            for what, listed in (("output", "n_pos_outliers"), ("supply", "n_volt_dropouts")):
-                assert sum(s.startswith(f"The {what} jumps") for s in says) == int(row[listed]), row["file"]
+            for what, count in (("output", "n_pos_outliers"), ("supply", "n_volt_dropouts")):
+                assert sum(s.startswith(f"The {what} jumps") for s in says) == int(row[count]), row["file"]
             assert frozen == pytest.approx(float(row["frozen_s"]), abs=0.01), row["file"]
             assert {f.kind for f in recording.faults} <= {"outlier", "freeze"}
 

@@ -282,7 +282,7 @@ def test_from_a_dropped_log_to_a_model_on_sliders(page: Any, address: str, tmp_p
     from playwright.sync_api import expect
 
     log = tmp_path / "bench.csv"
-    log.write_text(log_text(8.0))
+    log.write_text(log_text(5.0))
     assert no_sideways_scrolling(page)
     page.set_input_files("#file", log)
     page.get_by_label("counts per revolution").fill("4000")
