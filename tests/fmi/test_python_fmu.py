@@ -403,6 +403,23 @@ def test_update_writes_the_parameters_and_keeps_the_old_ones_aside(made, tmp_pat
         assert apart(drive(instance, u), by_kernel(model, u, 0.0, 0.0)) < 1e-10
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "iso-8859-1"])
+def test_update_keeps_the_encoding_of_a_description(made, tmp_path, encoding: str):
+    """Other tools that write into an FMU may save its XML in any encoding that XML knows."""
+    fmu, again = tmp_path / "axis.fmu", tmp_path / "again.fmu"
+    content = members(made["simple"])
+    declared = encoding.removesuffix("-sig")
+    text = (
+        content["modelDescription.xml"].decode("utf-8").replace("UTF-8", declared).replace("motor-driven", "Prüfling")
+    )
+    fmu.write_bytes(zipped({**content, "modelDescription.xml": text.encode(encoding)}))
+    python_fmu.update(fmu, model_of(SIMPLE, gravity_gain=2.5), again)
+    updated = members(again)["modelDescription.xml"].decode(encoding)
+    assert "Prüfling" in updated and 'start="2.5"' in updated
+    starts = {n.get("name"): n[0].get("start") for n in open_fmu(again).description.find("ModelVariables")}
+    assert float(starts["gravity_gain"]) == 2.5
+
+
 def test_update_refuses_a_damaged_archive_and_leaves_it(made, tmp_path):
     """One byte of a member that no update writes anew is another."""
     fmu = tmp_path / "flipped.fmu"

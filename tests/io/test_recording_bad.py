@@ -132,7 +132,7 @@ def test_a_recording_that_cannot_be_used(tmp_path: Path, log: bytes | str, words
         ("[output]", "[optional.curent]\ncolumn = 'i'\n[output]", ["did you mean 'current'"]),
         ("[output]", "[structure]\neffects = 'gravity'\n[output]", ["list of names"]),
         ("[output]", "[known]\ninertia = true\n[output]", ["inertia = True", "number"]),
-        ("[output]", f"[known]\ninertia = {'9' * 5000}\n[output]", ["not valid TOML", "too many digits"]),
+        ("[output]", f"[known]\ninertia = {'9' * 5000}\n[output]", ["not valid TOML", "too many digits", "line 8"]),
         ("[output]", f"[known]\ninertia = {'9' * 4000}\n[output]", ["inertia", "finite"]),
         ("[output]", "[known]\ninertia = nan\n[output]", ["inertia", "finite"]),
         ("[output]", "[known]\ninertia = -1\n[output]", ["inertia = -1", "negative"]),
@@ -209,6 +209,12 @@ def test_columns_that_cannot_be_guessed(tmp_path: Path, header: str, words: str)
     (tmp_path / "log.csv").write_text(csv(header=header))
     with pytest.raises(BadInput, match=words):
         load([tmp_path / "log.csv"])
+
+
+def test_numbers_that_no_axis_reaches_are_named(tmp_path: Path) -> None:
+    log = csv([f"{0.01 * k:.3f},{k % 2},{(-1) ** k}e308" for k in range(80)])
+    message = refused(tmp_path, log)
+    assert "line 2, column 'pos'" in message and "1e+308" in message
 
 
 def test_a_log_without_stamps_needs_the_sample_time(tmp_path: Path) -> None:

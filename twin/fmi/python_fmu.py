@@ -123,9 +123,20 @@ def _differences(old: Model, new: Model) -> str:
     return "; ".join(parts)
 
 
+def _encoding(text: bytes) -> str:
+    """The encoding of an XML document: by its byte order mark, else by what it declares, else UTF-8."""
+    marks = {b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}
+    declared = re.match(rb"<\?xml[^>]*?encoding=[\"']([A-Za-z][\w.-]*)[\"']", text)
+    return marks.get(text[:2]) or (declared.group(1).decode("ascii") if declared else "utf-8")
+
+
 def _with_starts(fmu: Fmu, text: bytes, model: Model) -> bytes:
     """The description with other start values; every other byte stays. Raises BadInput."""
-    described = text.decode("utf-8")
+    encoding = _encoding(text)
+    try:
+        described = text.decode(encoding)
+    except (UnicodeDecodeError, LookupError):
+        raise BadInput(f"{fmu.path}: {_DESCRIPTION} is no {encoding} text: export the FMU again") from None
     for variable in variables(model):
         if variable.causality != "parameter":
             continue
@@ -138,7 +149,7 @@ def _with_starts(fmu: Fmu, text: bytes, model: Model) -> bytes:
             raise BadInput(f"{fmu.path} has no parameter {variable.name}: export it again with this version")
         first = found.start() + start.start()
         described = described[:first] + f'start="{variable.start!r}"' + described[found.start() + start.end() :]
-    return described.encode("utf-8")
+    return described.encode(encoding)
 
 
 def update(fmu: Path, model: Model, out: Path | None = None) -> Path:

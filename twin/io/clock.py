@@ -56,7 +56,8 @@ def bridge_jumps(time: FloatArray, reading: FloatArray) -> tuple[FloatArray, lis
     step = np.diff(time)
     usual = float(np.median(step[step > 0])) if np.any(step > 0) else 0.0
     jumps = np.flatnonzero((step < 0) | (step > max(_PAUSE, _PAUSE_STEPS * usual)))
-    moved = np.abs(np.diff(reading))
+    with np.errstate(over="ignore"):
+        moved = np.abs(np.diff(reading))
     for k in jumps:
         around = np.concatenate([moved[max(0, k - 5) : k], moved[k + 1 : k + 6]])
         lone = k + 1 < step.size and step[k + 1] > 1.5 * usual  # one bad stamp, after which the clock is as it was

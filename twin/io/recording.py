@@ -430,7 +430,14 @@ def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
         drive = drive * _sense(time, raw[rig.direction.name], rig.direction, table.name)
     reading = _convert(raw[rig.output.name], rig.output)
     if not np.isfinite(reading).any():
-        raise BadInput(f"{table.name}: column '{rig.output.name}' holds no number")
+        logged = np.flatnonzero(np.isfinite(raw[rig.output.name]))
+        if not logged.size:
+            raise BadInput(f"{table.name}: column '{rig.output.name}' holds no number; name the column of the reading")
+        row, value = int(rows[logged[0]]), float(raw[rig.output.name][logged[0]])
+        raise BadInput(
+            f"{table.name}: {table.where(row)}, column '{rig.output.name}': {value:.6g} and all others are "
+            " beyond what an axis reaches; name the right column, or correct its unit in the rig file"
+        )
     _check_sense(table, rig, clock, time, rows, _Drive(drive, raw[rig.input.name]))
     optional: dict[str, FloatArray] = {}
     for key, column in rig.optional.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
@@ -10,6 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from twin.errors import BadInput
+
+#: So many digits are more than an integer may have.
+_TOO_LONG = re.compile(r"\d{4300}")
 
 
 def number(value: float) -> str:
@@ -61,7 +65,8 @@ def parse_toml(content: str) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         raise ValueError(" ".join(str(error).split())) from None
     except ValueError:
-        raise ValueError("an integer in it has too many digits") from None
+        line = next((n for n, text in enumerate(content.splitlines(), 1) if _TOO_LONG.search(text)), 0)
+        raise ValueError(f"an integer in it has too many digits (at line {line})") from None
     except RecursionError:
         raise ValueError("its tables are nested too deep") from None
 
