@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.errors import BadInput
 from twin.estimation import (
     contact_masking,
     likelihood,
@@ -204,12 +205,24 @@ def likeliest(
     problem, begun = multistart.coarse_starts(searched, structure, held)
     tell("the full likelihood", 0.3)
     point = multistart.fit_from_starts(problem.holding(held), preparation.with_tooth_compliance(structure), begun)
+    _check_judged(point, train)
     tell("leaving local optima", 0.75)
     problem, point = multistart.leave_local_optima(problem, point)
     if len(searched) == len(train) and all(a is b for a, b in zip(searched, train, strict=True)):
         return problem.holding(held), point
     tell("all readings", 0.8)
     return _on_all(problem, point, train, held)
+
+
+def _check_judged(point: Fit, recordings: Sequence[Recording]) -> None:
+    """Raises BadInput where no reading can be judged: the model does not run, or motor and link never met for long."""
+    if math.isfinite(point.deviance):
+        return
+    lasting = max(float(r.time[-1]) for r in recordings)
+    raise BadInput(
+        f"{recordings[0].name}: no reading of these {lasting:.3g} s can be compared with a model that has a gap: "
+        "record for longer, with several reversals, or name backlash in `exclude`"
+    )
 
 
 def _on_all(

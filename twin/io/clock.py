@@ -16,6 +16,8 @@ _COUNTERS = tuple(2.0**bits / divisor for bits in (16, 32) for divisor in (1.0, 
 _PAUSE_STEPS, _PAUSE = 50.0, 1.0
 #: Steps from sample to sample, s, between which an axis can be seen to move, and the shortest recording, s.
 SHORTEST_STEP, LONGEST_STEP, _SHORTEST = 20e-6, 0.5, 0.5
+#: The step of a fast converter, s: below, stamps are no time at all.
+CONVERTER_STEP = 1e-6
 #: Stamps of a burst: the median step is below this share of the mean one, and a burst holds so many.
 _CROWDED, _MIN_BURST, _MIN_BURSTS, _ALIKE = 0.2, 3, 5, 0.8
 
@@ -120,7 +122,7 @@ def check_unit(time: FloatArray, factor: float, where: str, rig_file: str) -> No
         for unit, (_, f) in TIME_UNITS.items()
         if SHORTEST_STEP <= raw_step * f <= LONGEST_STEP and (raw_length * f >= _SHORTEST or not short) and f != factor
     }
-    if short and not fitting and step >= 1e-6:
+    if short and not fitting and step >= CONVERTER_STEP:
         return  # a quick burst of a fast converter: no other unit makes more of it
     # the geometric middle of what people log: 3 ms
     best = sorted(fitting, key=lambda unit: abs(np.log(fitting[unit] / 3e-3)))

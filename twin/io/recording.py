@@ -13,7 +13,7 @@ import numpy.typing as npt
 from twin.display.table import DisplayTable, Tabular
 from twin.errors import BadInput
 from twin.io.cleaning import Raw, clean_optional, clean_output, hold
-from twin.io.clock import bridge_jumps, check_unit, spread_bursts, undo_counter_wraps
+from twin.io.clock import CONVERTER_STEP, LONGEST_STEP, bridge_jumps, check_unit, spread_bursts, undo_counter_wraps
 from twin.io.faults import Fault, find_gaps
 from twin.io.joined import join_files
 from twin.io.manifest import Entry, entries_of, expand
@@ -240,6 +240,13 @@ def to_fit(recordings: Sequence[Recording]) -> list[Recording]:
     if not train:
         raise BadInput("every recording has the role holdout: give at least one to fit")
     for recording in recordings:
+        step = float(np.median(np.diff(recording.time))) if recording.time.size > 1 else LONGEST_STEP
+        if not CONVERTER_STEP <= step <= LONGEST_STEP:
+            raise BadInput(
+                f"{recording.name}: time makes {step:.3g} s from sample to sample, at which no axis is seen to move: "
+                "give it in s"
+            )
+    for recording in recordings:
         for finding in recording.preflight:
             if finding.severity is Severity.BLOCKS:
                 raise BadInput(f"{recording.name}: {finding.says}")
@@ -429,15 +436,7 @@ def _recording(table: Table, rig: Rig, entry: Entry) -> Recording:
     if rig.direction is not None:
         drive = drive * _sense(time, raw[rig.direction.name], rig.direction, table.name)
     reading = _convert(raw[rig.output.name], rig.output)
-    if not np.isfinite(reading).any():
-        logged = np.flatnonzero(np.isfinite(raw[rig.output.name]))
-        if not logged.size:
-            raise BadInput(f"{table.name}: column '{rig.output.name}' holds no number; name the column of the reading")
-        row, value = int(rows[logged[0]]), float(raw[rig.output.name][logged[0]])
-        raise BadInput(
-            f"{table.name}: {table.where(row)}, column '{rig.output.name}': {value:.6g} and all others are "
-            " beyond what an axis reaches; name the right column, or correct its unit in the rig file"
-        )
+    _check_reachable(table, rig, rows, raw[rig.output.name], reading)
     _check_sense(table, rig, clock, time, rows, _Drive(drive, raw[rig.input.name]))
     optional: dict[str, FloatArray] = {}
     for key, column in rig.optional.items():
@@ -493,6 +492,22 @@ class _Drive:
 
     values: FloatArray
     logged: FloatArray  # as the file holds it
+
+
+def _check_reachable(
+    table: Table, rig: Rig, rows: npt.NDArray[np.intp], logged: FloatArray, reading: FloatArray
+) -> None:
+    """Raises BadInput where the output holds no numbers, or mostly such as no axis reaches."""
+    there = np.isfinite(logged)
+    if not there.any():
+        raise BadInput(f"{table.name}: column '{rig.output.name}' holds no number; name the column of the reading")
+    beyond = np.flatnonzero(there & ~np.isfinite(reading))
+    if 2 * beyond.size > np.count_nonzero(there):
+        row, value = int(rows[beyond[0]]), float(logged[beyond[0]])
+        raise BadInput(
+            f"{table.name}: {table.where(row)}, column '{rig.output.name}': {value:.6g} and most others are beyond "
+            "what an axis reaches; name the right column, or correct its unit in the rig file"
+        )
 
 
 def _check_sense(
