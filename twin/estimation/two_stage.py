@@ -263,14 +263,15 @@ def steady_gains(steady: Sequence[tuple[float, float, float]]) -> tuple[FloatArr
     the duties do not suffice.
     """
     duty, speed, error = (np.array(column) for column in zip(*steady, strict=True))
-    weighted = _steady_regressors(duty) / error[:, None]
+    unit = np.array([max(float(np.max(np.abs(duty))), 1e-300), 1.0, 1.0])  # so that the rank asks for no unit of input
+    weighted = _steady_regressors(duty) / unit / error[:, None]
     if np.linalg.matrix_rank(weighted) < 3:
         raise np.linalg.LinAlgError
     inverse = np.linalg.inv(weighted.T @ weighted)
     solution = inverse @ weighted.T @ (speed / error)
     spare = len(duty) - 3
     excess = float(np.sum((speed / error - weighted @ solution) ** 2)) / spare if spare else 1.0
-    return solution, inverse * max(excess, 1.0)
+    return solution / unit, inverse / np.outer(unit, unit) * max(excess, 1.0)
 
 
 def _settled_holds(holds: Sequence[_Hold], b: float) -> tuple[list[_Hold], float]:
