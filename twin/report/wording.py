@@ -36,9 +36,11 @@ def undetermined_sentence(model: Model) -> str:
 
 
 def in_rig_unit(model: Model, parameter: str, rig: Rig | None) -> str:
-    """A parameter in the unit in which its rig logs, with its standard error; "" where that is the model's own."""
+    """A parameter in the unit in which its rig logs, with its standard error; "" where that is the model's own,
+    and for nothing.
+    """
     own = None if rig is None else rig.own_unit(model.unit(parameter))
-    if own is None:
+    if own is None or model.values[parameter] == 0.0:
         return ""
     unit, factor = own
     return measure(factor * model.values[parameter], factor * model.std(parameter), unit)
