@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import cache
 from html.parser import HTMLParser
 
 import numpy as np
@@ -62,8 +63,14 @@ def story(**more) -> Story:
     return Story(**{"diagnosis": example(), "rig": RIG, "experiment_file": "next_experiment.csv", **more})
 
 
+@cache
+def usual_page() -> str:
+    """Of the usual story, made once."""
+    return html.html(story())
+
+
 def test_page_is_whole_and_self_contained():
-    text = html.html(story())
+    text = usual_page()
     page = Page(text)
     assert [i for i in page.ids if i in SECTIONS] == SECTIONS
     assert not {"link", "img", "iframe", "object", "base"} & set(page.tags)
@@ -77,7 +84,7 @@ def test_page_is_whole_and_self_contained():
 
 
 def test_page_says_what_was_wrong():
-    page = Page(html.html(story()))
+    page = Page(usual_page())
     said = page.text
     assert "The first model left out gravity on the link" in said
     assert "acts at the load" in said
@@ -93,7 +100,7 @@ def test_a_sign_is_explained_where_it_stands():
     """A load that changes is a condition in the equations; gravity is not."""
     changing = replace(example(), after=model_of("load_change"))
     assert "square bracket" in Page(html.html(story(diagnosis=changing))).text
-    assert "square bracket" not in Page(html.html(story())).text
+    assert "square bracket" not in Page(usual_page()).text
 
 
 def test_angles_stand_in_the_rig_s_own_unit_beside_si():
@@ -101,11 +108,11 @@ def test_angles_stand_in_the_rig_s_own_unit_beside_si():
     after = example().after
     gap = measure(np.degrees(after.values["backlash_gap"]), np.degrees(after.std("backlash_gap")), "deg")
     page = html.html(story(rig=replace(RIG, output=degrees)))
-    assert gap in page and gap not in html.html(story())
+    assert gap in page and gap not in usual_page()
 
 
 def test_text_from_files_is_escaped():
-    text = html.html(story())
+    text = usual_page()
     for raw in ("<jumps>", "<position>", "<disagree>"):
         assert raw not in text
         assert raw.replace("<", "&lt;").replace(">", "&gt;") in text
@@ -185,7 +192,7 @@ def test_controller_checks_and_two_stage_have_their_place():
 
 
 def test_same_story_gives_the_same_page():
-    assert html.html(story()) == html.html(story())
+    assert html.html(story()) == usual_page()
 
 
 def test_thinning_keeps_every_peak():
@@ -263,7 +270,7 @@ def test_a_report_says_where_it_comes_from(tmp_path, monkeypatch):
     assert "1970-01-01T00:00:00+00:00" in page.text
     assert "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad" in page.text  # FIPS 180-2, appendix B.1
     assert "twin run 'my log.csv'" in page.text and "twin check <x>" in page.text
-    assert "Where this page comes from" not in Page(html.html(story())).text
+    assert "Where this page comes from" not in Page(usual_page()).text
 
 
 def test_a_parameter_that_is_fixed_well_is_no_note():

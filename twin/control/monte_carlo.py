@@ -139,7 +139,6 @@ def robustness(
     reference: Reference | None = None,
     draws: int = DRAWS,
     specification: float | None = None,
-    seed: int = 0,
     progress: Callable[[int], Any] | None = None,
 ) -> Robustness:
     """Tracking over `draws` plants drawn from the model's covariance, on two threads.
@@ -151,7 +150,7 @@ def robustness(
     check(wanted, controller)
     if draws < 2:
         raise BadInput(f"{draws} draws say nothing: ask for 2 or more")
-    plants = draw(model, draws, seed)
+    plants = draw(model, draws, seed=0)
     rms, peak = np.empty(draws), np.empty(draws)
     compiled()
 
