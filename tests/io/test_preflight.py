@@ -223,3 +223,14 @@ def test_nothing_is_found_on_real_recordings(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text(rig[: rig.index("[loop]")])
     servo, _ = load(sorted((data / "sts3215_pendulum/runs").glob("*.csv"))[::60], tmp_path / "rig.toml")
     assert [(r.name, f) for r in servo for f in r.preflight] == []
+
+
+def test_a_sensor_that_clips_is_named(tmp_path: Path) -> None:
+    step = 0.002
+    duty = duty_levels(7, 8000, step)
+    angle = np.clip(axis_position(duty, step), -14.0, 21.0)
+    log = write_log(tmp_path, {"t": np.arange(8000) * step, "duty": duty, "y": angle}, rig_text('unit = "rad"'))
+    (recording,), _ = load([log])
+    (finding,) = recording.preflight
+    assert finding.kind == "clipped" and finding.severity is Severity.BLOCKS
+    assert "smallest or its largest reading" in finding.says

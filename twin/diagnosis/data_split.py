@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.io.recording import Recording, to_fit
+from twin.io.recording import Recording, command_of, to_fit
 from twin.model.equations import timed
 from twin.model.stepper import Structure
 
@@ -20,6 +20,9 @@ MIDDLE_PART: Intervals = ((0.35, 0.65),)
 BLOCKS: Intervals = ((0.1, 0.175), (0.35, 0.425), (0.6, 0.675), (0.85, 0.925))
 #: Three time constants, but no less and no more than this, a free run starts ahead of what is judged, s.
 _LEAD_TIME = (1.0, 5.0)
+#: A command or a way of less than these shares of the largest is none. Rest at both ends of a recording that makes up
+#: less than this share of it is part of what was tried.
+_IDLE_COMMAND, _IDLE_WAY, _IDLE_TIME = 0.01, 0.02, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +49,22 @@ class RecordingPart:
         return bool(self.inside.all())
 
 
+def _in_motion(recording: Recording) -> tuple[float, float]:
+    """From when until when (s) the axis is driven or moves: a model is not tested by how an axis stands still."""
+    time, whole = recording.time, (0.0, float(recording.time[-1]))
+    command = np.abs(command_of(recording))
+    read = np.flatnonzero(np.isfinite(recording.output))
+    y = np.interp(time, time[read], recording.output[read])
+    ends = (0.0, 0.0) if recording.is_speed else (y[0], y[-1])
+    far = _IDLE_WAY * (float(np.max(np.abs(y))) if recording.is_speed else float(np.ptp(y)))
+    driven = command > _IDLE_COMMAND * float(np.max(command))
+    begins, stops = (np.flatnonzero(driven | (np.abs(y - at) > far)) for at in ends)
+    if not begins.size or not stops.size:
+        return whole
+    moving = float(time[begins[0]]), float(time[stops[-1]])
+    return moving if moving[0] + whole[1] - moving[1] > _IDLE_TIME * whole[1] else whole
+
+
 def split(recordings: Sequence[Recording], where: Intervals = END_PART) -> tuple[list[Recording], list[RecordingPart]]:
     """What may be fitted, and what is held out: the recordings of that role, or a part of each if there are none.
 
@@ -57,12 +76,13 @@ def split(recordings: Sequence[Recording], where: Intervals = END_PART) -> tuple
         return train, held_out
     parts, kept = [], []
     for recording in train:
-        mine = [RecordingPart(recording, *(share * float(recording.time[-1]) for share in shares)) for shares in where]
+        begin, end = _in_motion(recording)
+        mine = [RecordingPart(recording, *(begin + share * (end - begin) for share in shares)) for shares in where]
         parts += mine
         rest = recording
-        # From the last on: what is left out at the end makes the recording shorter.
+        # From the last on: what is left out at the end makes the recording shorter, as does the rest after it.
         for part in reversed(mine):
-            rest = rest.without(part.begin, part.end)
+            rest = rest.without(part.begin, part.end if part.end < end else float(recording.time[-1]))
         several = f"{recording.name} (without {len(mine)} blocks)"
         kept.append(replace(rest, name=several) if len(mine) > 1 else rest)
     return kept, parts

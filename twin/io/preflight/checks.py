@@ -24,6 +24,8 @@ _SURE = 5.0
 _BETTER = 0.8
 #: Counts within which an axis that only shakes in its dead-band stays.
 _SHAKING_COUNTS = 2.0
+#: Share of the readings at an end of the range, from which on they say why nothing answers.
+_AT_ENDS = 0.3
 #: Of the largest speed: slower is no motion the other way. Share of the rows that have to show motion each way.
 _SLOW, _EACH_WAY = 0.1, 0.05
 
@@ -41,7 +43,8 @@ def examine(recordings: Sequence[Signals]) -> list[Finding]:
     found = [*twice, *still, *duty_scale(recordings)]
     seen = None if still else response(recordings)
     if seen is not None:
-        said = lost_sign(recordings, seen) or unsigned_command(recordings, seen) or opposed(seen) or unrelated(seen)
+        said = lost_sign(recordings, seen) or unsigned_command(recordings, seen) or opposed(seen)
+        said = said or (unrelated(seen) and (clipped(recordings) or unrelated(seen)))
         found = [*said, *found]
     return sorted(found, key=lambda f: f.severity is not Severity.BLOCKS)
 
@@ -233,6 +236,24 @@ def unrelated(seen: Response) -> list[Finding]:
             f"the input explains {100 * max(seen.share, 0.0):.2g} % of how the speed changes, no more than the same "
             "input moved in time: the two columns have nothing to do with each other, or the axis never leaves its "
             "dead-band; name the right columns, or drive the axis harder",
+            Severity.BLOCKS,
+        )
+    ]
+
+
+def clipped(recordings: Sequence[Signals]) -> list[Finding]:
+    """An output that stands at an end of its range for much of the time: why it does not answer to the input."""
+    shares = []
+    for r in recordings:
+        y = r.output[np.isfinite(r.output)]
+        shares.append(float(np.mean((y == y.min()) | (y == y.max()))))
+    if max(shares) < _AT_ENDS:
+        return []
+    return [
+        Finding(
+            "clipped",
+            f"the output stands at its smallest or its largest reading for {100 * max(shares):.0f} % of the time, "
+            "whatever the input: the sensor or the log clips it, or the axis stands at a stop; record within the range",
             Severity.BLOCKS,
         )
     ]

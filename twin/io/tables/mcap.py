@@ -1,6 +1,7 @@
 """MCAP: messages in JSON or in ROS 2's CDR, on topics that each have a clock of their own."""
 
 import json
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,7 @@ def open_mcaps(path: Path, parts: list[Path]) -> Table:
                     except Exception as error:  # a message that does not follow its definition
                         if topics is not None:
                             raise
-                        refused[topic] = " ".join(str(error).split())[:100] or type(error).__name__
+                        refused[topic] = textwrap.shorten(str(error), 100, placeholder=" ...") or type(error).__name__
 
     def of_topic(topic: str) -> Messages:
         return call_library(path, _KIND, lambda: list(messages([topic])))

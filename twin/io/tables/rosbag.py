@@ -1,6 +1,7 @@
 """ROS 2 bags: a folder of MCAP or SQLite files, or one SQLite file (.db3)."""
 
 import sqlite3
+import textwrap
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -68,7 +69,7 @@ def _open_sqlite(path: Path, parts: list[Path]) -> Table:
                     except Exception as error:  # a message that does not follow its definition
                         if wanted is not None:
                             raise
-                        refused[topic] = " ".join(str(error).split())[:100] or type(error).__name__
+                        refused[topic] = textwrap.shorten(str(error), 100, placeholder=" ...") or type(error).__name__
 
     def of_topic(topic: str) -> Messages:
         return call_library(path, _KIND, lambda: list(messages(topic)))

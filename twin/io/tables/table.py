@@ -1,6 +1,7 @@
 """A table of named columns, whatever the file was, and what the readers of all formats share."""
 
 import gzip
+import textwrap
 import zlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -119,7 +120,7 @@ def missing_package(path: Path, package: str) -> BadInput:
 
 def unreadable(path: Path, kind: str, error: Exception | str) -> BadInput:
     """What to say where a reader gives up on a damaged file."""
-    said = " ".join(str(error).split())[:120] or type(error).__name__
+    said = textwrap.shorten(str(error), 120, placeholder=" ...") or type(error).__name__
     return BadInput(f"{path}: cannot be read as {kind} ({said}); export the recording again")
 
 
