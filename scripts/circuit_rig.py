@@ -113,6 +113,11 @@ class Rig(NamedTuple):
     pulse: float = 0.0
     pulse_start: float = 0.0
     pulse_length: float = 0.0
+    give: float = 0.0  # friction on the motor that gives before it slides
+    give_travel: float = 1.0
+    rider: float = 0.0  # inertia of what rides on the link
+    rider_rate: float = 0.0
+    rider_loss: float = 0.0
     clock: float = 0.0  # s, when the recording begins
 
     @property
@@ -315,6 +320,11 @@ def _draws(rng: np.random.Generator, rig: Rig, size: float, duration: float) -> 
             "shake": torque, "shake_frequency": 0.5 * 30.0 ** between(0.0, 1.0), "shake_phase": phase()}),
         "friction_run_in": lambda: Concealed(
             "friction_run_in", {"run_in": torque, "run_in_time": duration * between(0.05, 0.3)}),
+        "presliding_friction": lambda: Concealed("presliding_friction", {
+            "give": torque, "give_travel": 0.02 * 4.0 ** between(0.0, 1.0)}),
+        "flexible_load": lambda: Concealed("flexible_load", {
+            "rider": 2.0 * size, "rider_rate": TURN * 0.8 * 10.0 ** between(0.0, 1.0),
+            "rider_loss": 0.03 * 10.0 ** between(0.0, 1.0)}),
         "sticky_sector": lambda: Concealed("sticky_sector", {
             "sector": torque, "sector_angle": rig.start + reach * between(-1.0, 1.0),
             "sector_half": between(0.15, 0.5)}),
@@ -386,7 +396,8 @@ def _play(rig, duty, shaking, substeps):  # type: ignore[no-untyped-def]
     link = gear = rig.start
     motor = rig.start + rig.start_in_gap
     w_link = w_gear = w_motor = bend_link = bend_motor = 0.0
-    filtered = current = heat = 0.0
+    filtered = current = heat = give = w_rider = 0.0
+    rider = rig.start
     pass_voltage = 1.0 - exp(-step / rig.filter_time) if rig.filter_time > 0.0 else 1.0
     pass_current = 1.0 - exp(-step / rig.winding_time) if rig.winding_time > 0.0 else 1.0
     for k in range(len(duty)):
@@ -427,6 +438,15 @@ def _play(rig, duty, shaking, substeps):  # type: ignore[no-untyped-def]
                 on_link -= max(rig.stop_stiffness * (link - rig.stop_upper) + rig.stop_damping * w_link, 0.0)
             if link < rig.stop_lower:
                 on_link -= min(rig.stop_stiffness * (link - rig.stop_lower) + rig.stop_damping * w_link, 0.0)
+            if rig.rider > 0.0:
+                drawn = rig.rider_rate**2 * (link - rider) + 2.0 * rig.rider_loss * rig.rider_rate * (w_link - w_rider)
+                on_link -= rig.rider * drawn
+                w_rider += step * drawn
+                rider += step * w_rider
+            if rig.give > 0.0:
+                gives = w_motor / rig.give_travel - abs(w_motor) / rig.give_travel * give
+                give += step * gives
+                on_motor -= rig.give * give + 0.6 * sqrt(rig.give * rig.give_travel * rig.motor_inertia) * gives
             # Teeth push and do not pull.
             twist, rate = (motor - gear, w_motor - w_gear) if elastic else (motor - link, w_motor - w_link)
             teeth = 0.0

@@ -26,16 +26,15 @@ COPPER = 0.0039  # 1/K, how the winding's resistance rises
 
 VOCABULARY: tuple[str, ...] = (
     "constant_offset", "coulomb_friction", "detent", "disturbance_pulse", "drive_saturation",
-    "encoder_eccentricity", "end_stop", "friction_asymmetry", "friction_run_in", "gravity", "input_delay",
-    "joint_elasticity", "load_change", "load_dependent_friction", "motor_lag", "periodic_disturbance",
-    "position_dependent_friction", "quadratic_drag", "spring", "sticky_sector", "stribeck_friction", "supply_sag",
-    "thermal_fade", "torque_ripple", "viscous_asymmetry",
+    "encoder_eccentricity", "end_stop", "flexible_load", "friction_asymmetry", "friction_run_in", "gravity",
+    "input_delay", "joint_elasticity", "load_change", "load_dependent_friction", "motor_lag",
+    "periodic_disturbance", "position_dependent_friction", "presliding_friction", "quadratic_drag", "spring",
+    "sticky_sector", "stribeck_friction", "supply_sag", "thermal_fade", "torque_ripple", "viscous_asymmetry",
 )  # fmt: skip
 OUTSIDE: tuple[str, ...] = (
     "other_damaged_tooth",  # the gap is wider at one place of the output wheel
     "other_freewheel",  # the bridge opens within its dead-band, and no back-EMF brakes
     "other_friction_hump",  # friction in a band of speeds, as where a housing resonates
-    "other_slosh",  # a liquid in the link that its walls drag along
 )
 
 COMMAND_LAG, VOLTAGE_LAG, WINDING_LAG = 1.0, 2.0, 3.0  # where a first-order lag sits
@@ -130,8 +129,11 @@ class _Plant(NamedTuple):
     hump_torque: float = 0.0
     hump_speed: float = 0.0
     hump_width: float = 0.0
-    slosh_inertia: float = 0.0
-    slosh_coupling: float = 0.0
+    rider_inertia: float = 0.0
+    rider_stiffness: float = 0.0
+    rider_damping: float = 0.0
+    bristle: float = 0.0
+    bristle_travel: float = 1.0
     run_in: float = 0.0
     run_in_time: float = 1.0
     sector: float = 0.0
@@ -370,6 +372,15 @@ def _stop(rng: np.random.Generator, rig: Rig, size: float) -> dict[str, float]:
     }
 
 
+def _rider(rng: np.random.Generator, inertia: float) -> dict[str, float]:
+    """A liquid that the walls drag along, or something on a spring; of that inertia, kg m^2."""
+    rate = 2.0 * math.pi * log_uniform(rng, 0.8, 8.0)
+    if rng.random() < 0.3:
+        return {"rider_inertia": inertia, "rider_damping": inertia * log_uniform(rng, 1.0, 6.0)}
+    damping = 2.0 * log_uniform(rng, 0.03, 0.3) * rate * inertia
+    return {"rider_inertia": inertia, "rider_stiffness": inertia * rate**2, "rider_damping": damping}
+
+
 def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, duration: float = 60.0) -> Concealed:
     """An effect of that size, all else about it at random.
 
@@ -396,11 +407,15 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
             values = {"eccentricity": 0.1 * size, "eccentricity_phase": turn}
         case "end_stop":
             values = _stop(rng, rig, size)
+        case "flexible_load":
+            values = _rider(rng, 2.0 * size * inertia)
         case "friction_asymmetry":
             values, carrier = _dry(rng, torque, half, "asymmetry")
             values |= {name: sign * values[name] for name in ("asymmetry_motor", "asymmetry_link")}
         case "friction_run_in":
             values = {"run_in": torque, "run_in_time": duration * float(rng.uniform(0.05, 0.3))}
+        case "presliding_friction":
+            values = {"bristle": torque, "bristle_travel": log_uniform(rng, 0.02, 0.08)}
         case "sticky_sector":
             middle = min(0.5 * speed, math.pi) * float(rng.uniform(-1.0, 1.0))
             values = {"sector": torque, "sector_angle": middle, "sector_half": float(rng.uniform(0.15, 0.5))}
@@ -455,10 +470,6 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
         case "other_friction_hump":
             values = {"hump_torque": torque, "hump_speed": speed * float(rng.uniform(0.3, 0.8))}
             values |= {"hump_width": speed * float(rng.uniform(0.06, 0.15))}
-        case "other_slosh":
-            coupling = torque / speed * float(rng.uniform(1.0, 2.0))
-            slosh_time = inertia / (half / speed) * log_uniform(rng, 0.3, 3.0)
-            values = {"slosh_inertia": coupling * slosh_time, "slosh_coupling": coupling}
         case _:
             raise ValueError(f"no effect {id!r}; there are {', '.join((*VOCABULARY, *OUTSIDE))}")
     return Concealed(id, {name: float(value) for name, value in values.items()}, carrier)
@@ -575,7 +586,7 @@ def _run(time: Array, duty: Array, motor_noise: Array, link_noise: Array, p: _Pl
     out = np.zeros((n, 4))
     motor, wheel, link = p.gap_start * p.backlash_gap, 0.0, 0.0
     motor_speed = wheel_speed = link_speed = 0.0
-    current = temperature = filtered = slosh_speed = 0.0
+    current = temperature = filtered = rider = rider_speed = bend = 0.0
     bus = p.supply
     flexible = p.joint_compliance > 0.0
     winding_time = p.lag_time if p.lag_time > 0.0 and p.lag_place == WINDING_LAG else p.winding_time
@@ -628,10 +639,17 @@ def _run(time: Array, duty: Array, motor_noise: Array, link_noise: Array, p: _Pl
             drive -= (p.motor_viscous + p.drag_motor * abs(motor_speed)) * motor_speed
             load = _field(link, link_speed, t, p) + link_noise[at] - p.link_viscous * link_speed
             load += p.ripple_link * ripple
-            if p.slosh_coupling > 0.0:
-                dragged = p.slosh_coupling * (link_speed - slosh_speed)
-                load -= dragged
-                slosh_speed += h * dragged / p.slosh_inertia
+            if p.rider_inertia > 0.0:
+                drawn = p.rider_stiffness * (link - rider) + p.rider_damping * (link_speed - rider_speed)
+                load -= drawn
+                rider_speed += h * drawn / p.rider_inertia
+                rider += h * rider_speed
+            if p.bristle > 0.0:
+                # An implicit step: the bend (of the travel) that the speed at its end would leave.
+                bend = (bend + h * motor_speed / p.bristle_travel) / (1.0 + h * abs(motor_speed) / p.bristle_travel)
+                stiff = p.bristle / p.bristle_travel
+                rate = motor_speed - abs(motor_speed) * bend
+                drive -= p.bristle * bend + 0.5 * math.sqrt(stiff * p.motor_inertia) * rate
             inertia = p.link_inertia
             if t >= p.load_time:
                 inertia += p.load_added

@@ -307,6 +307,22 @@ def bristles(p: Parameters, rig: Rig) -> Law:
     return law
 
 
+def rider(p: Parameters, rig: Rig) -> Law:
+    # Something on a spring and a damper, which stands where the link stands until that moves.
+    share, rate = p["share"], TURN * p["frequency"]
+    loss = 2.0 * p["damping"] * rate
+    place = speed = 0.0
+
+    def law(s: State) -> float:
+        nonlocal place, speed
+        drawn = rate * rate * (s.angle - place) + loss * (s.speed - speed)
+        speed += STEP * drawn
+        place += STEP * speed
+        return -share * drawn
+
+    return law
+
+
 def duty_sign_cogging(p: Parameters, rig: Rig) -> Law:
     gain, order, phase, side = p["gain"], p["order"], p["phase"], p["side"]
     return lambda s: gain * sin(order * s.motor_angle + phase) if s.duty * side > 0.0 else 0.0
@@ -371,9 +387,9 @@ Shapers = dict[str, Callable[[Parameters, Rig], Shaper]]
 DRIVE: Shapers = {"drive_saturation": drive_saturation, "supply_sag": supply_sag}
 GAIN: Shapers = {"motor_lag": motor_lag, "thermal_fade": thermal_fade, "other_angle_gain": angle_gain}
 MOTOR: Laws = {
+    "presliding_friction": bristles,
     "torque_ripple": motor_ripple,
     "other_brake_coast": brake_coast,
-    "other_bristles": bristles,
     "other_duty_sign_cogging": duty_sign_cogging,
     "other_warming_viscosity": warming_viscosity,
 }
@@ -387,6 +403,7 @@ FRICTION: Frictions = {
     "load_dependent_friction": load_friction,
 }
 LINK: Laws = {
+    "flexible_load": rider,
     "constant_offset": constant_torque,
     "quadratic_drag": quadratic_drag,
     "gravity": gravity,
@@ -492,7 +509,12 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
             "stiffness": torque / max(speed, 1.0) ** 3,
             "flat": speed * between(0.1, 0.4),
         },
-        "other_bristles": lambda: {"magnitude": torque, "give": between(0.02, 0.08)},
+        "presliding_friction": lambda: {"magnitude": torque, "give": between(0.02, 0.08)},
+        "flexible_load": lambda: {
+            "share": 2.0 * size,
+            "frequency": 0.8 * 10.0 ** between(0.0, 1.0),
+            "damping": 0.03 * 10.0 ** between(0.0, 1.0),
+        },
         "other_duty_sign_cogging": lambda: {
             "gain": torque,
             "order": order(),

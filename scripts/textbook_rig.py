@@ -26,10 +26,10 @@ EMF = 0.6  # share of the motor's damping that is back-EMF and so unloads the su
 
 VOCABULARY: tuple[str, ...] = (
     "constant_offset", "coulomb_friction", "detent", "disturbance_pulse", "drive_saturation",
-    "encoder_eccentricity", "end_stop", "friction_asymmetry", "friction_run_in", "gravity", "input_delay",
-    "joint_elasticity", "load_change", "load_dependent_friction", "motor_lag", "periodic_disturbance",
-    "position_dependent_friction", "quadratic_drag", "spring", "sticky_sector", "stribeck_friction", "supply_sag",
-    "thermal_fade", "torque_ripple", "viscous_asymmetry",
+    "encoder_eccentricity", "end_stop", "flexible_load", "friction_asymmetry", "friction_run_in", "gravity",
+    "input_delay", "joint_elasticity", "load_change", "load_dependent_friction", "motor_lag",
+    "periodic_disturbance", "position_dependent_friction", "presliding_friction", "quadratic_drag", "spring",
+    "sticky_sector", "stribeck_friction", "supply_sag", "thermal_fade", "torque_ripple", "viscous_asymmetry",
 )  # fmt: skip
 OUTSIDE: tuple[str, ...] = (
     "other_bump",  # a torque at one place of the travel
@@ -106,6 +106,11 @@ class _Plant(NamedTuple):
     detent: float = 0.0
     detent_angle: float = 0.0
     detent_width: float = 1.0
+    bristle: float = 0.0
+    bristle_travel: float = 1.0
+    rider_share: float = 0.0
+    rider_rate: float = 0.0
+    rider_damping: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -230,6 +235,10 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
             upper, lower = (reach * rng.uniform(0.5, 1.0, 2) * (0.3 / max(size, 1e-9)) ** 0.5).tolist()
             values = {"stop_upper": upper, "stop_lower": -lower, "stop_stiffness": 3e4 if size > 0.0 else 0.0}
             values |= {"stop_damping": 60.0}
+        case "flexible_load":
+            rate = 2.0 * math.pi * log_uniform(rng, 0.8, 8.0)
+            values = {"rider_share": 2.0 * size, "rider_rate": rate}
+            values |= {"rider_damping": 2.0 * log_uniform(rng, 0.03, 0.3) * rate}
         case "friction_asymmetry":
             values = {"dry_forward" if sign > 0.0 else "dry_reverse": torque}
         case "gravity":
@@ -254,6 +263,8 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
             # The plain part is four thirds of what varies: friction stays friction.
             plain = {"coulomb": torque / 0.75}
             values, carrier = plain | {"dry_wave": torque, "dry_wave_phase": turn}, Concealed("coulomb_friction", plain)
+        case "presliding_friction":
+            values = {"bristle": torque, "bristle_travel": log_uniform(rng, 0.02, 0.08)}
         case "quadratic_drag":
             values = {"drag": torque / speed**2}
         case "spring":
@@ -347,7 +358,7 @@ def _run(time: Array, duty: Array, noise: Array, p: _Plant) -> Array:
     """
     n = time.size
     out = np.zeros((n, 3))
-    motor = motor_speed = link = link_speed = lagging = heat = 0.0
+    motor = motor_speed = link = link_speed = lagging = heat = bend = rider = rider_speed = 0.0
     stiffness, damping = p.mesh_stiffness, p.mesh_damping
     if p.joint_stiffness > 0.0:
         stiffness, damping = p.joint_stiffness, p.joint_damping
@@ -376,9 +387,19 @@ def _run(time: Array, duty: Array, noise: Array, p: _Plant) -> Array:
         at = min(int((t + SETTLE) / NOISE_STEP), noise.shape[1] - 1)
         viscous = p.motor_viscous * (1.0 + (p.viscous_asymmetry if motor_speed < 0.0 else 0.0))
         push = gain * u - viscous * motor_speed - p.dry_share * _dry(link, motor_speed, passed, t, p) - passed
+        if p.bristle > 0.0:
+            bending = motor_speed - abs(motor_speed) * bend / p.bristle_travel
+            bend += STEP * bending
+            spring = p.bristle / p.bristle_travel
+            push -= spring * bend + 0.6 * math.sqrt(spring * p.motor_share) * bending
         push += noise[0, at] + p.ripple * math.sin(p.ripple_order * motor + p.ripple_phase)
         pull = passed - p.link_viscous * link_speed - (1.0 - p.dry_share) * _dry(link, link_speed, passed, t, p)
         pull += noise[1, at] + _field(link, link_speed, t, p)
+        if p.rider_share > 0.0:
+            drawn = p.rider_rate**2 * (link - rider) + p.rider_damping * (link_speed - rider_speed)
+            pull -= p.rider_share * drawn
+            rider_speed += STEP * drawn
+            rider += STEP * rider_speed
         inertia = (1.0 - p.motor_share) * (p.load_factor if t >= p.load_time else 1.0)
         motor_speed += STEP * push / p.motor_share
         link_speed += STEP * pull / inertia

@@ -54,13 +54,11 @@ VALUES = {
     "eccentricity": 0.02,
     "disturbance": 1.0,
     "disturbance_frequency": 0.7,
-    "unknown_swing_share": 0.1,
+    "flexible_load_share": 0.1,
 }
-#: Every effect that has a name, and a curve of each kind: knots, waves, and what has a state. The other curves are the
-#: same text over other variables, which takes a compiler with sanitizers minutes.
-EVERYTHING = stepper.EVERYTHING.without(
-    *set(UNKNOWN) - {"unknown_position", "unknown_angle", "unknown_bend", "unknown_swing"}
-)
+#: Every effect that has a name, and a curve of each kind: knots and waves. The other curves are the same text over
+#: other variables, which takes a compiler with sanitizers minutes.
+EVERYTHING = stepper.EVERYTHING.without(*set(UNKNOWN) - {"unknown_position", "unknown_angle"})
 #: With compliance there is no rigid contact, without it there is: both are needed to have every effect on.
 RIGID = EVERYTHING.without("joint_elasticity", "tooth_compliance")
 NAMES = ("position", "velocity", "position_measured", "gap", "motor_velocity", "lag", "heat", "bend", "ride",

@@ -29,7 +29,7 @@ EFFECTS = ("gravity", "coulomb_friction", "input_delay", "motor_lag")
 #: What no command can undo, or nobody knows in time.
 NAMED = {
     "backlash", "tooth_compliance", "end_stop", "joint_elasticity", "load_change", "periodic_disturbance",
-    "disturbance_pulse", "unknown_time", "unknown_drag", "unknown_bend", "unknown_swing", "input_delay",
+    "disturbance_pulse", "unknown_time", "unknown_drag", "presliding_friction", "flexible_load", "input_delay",
 }  # fmt: skip
 PLANTED = {
     "constant_offset": {"offset": 2.0},
@@ -112,8 +112,8 @@ MORE = {
     "unknown_velocity": knots.through("unknown_velocity", np.linspace(-4.0, 4.0, 12), 2.0 * np.sin(np.arange(1, 13))),
     "unknown_time": {"unknown_time_01": 1.0},
     "unknown_drag": {"unknown_drag_01": 1.0},
-    "unknown_bend": {"unknown_bend_level": 2.0},
-    "unknown_swing": {"unknown_swing_share": 0.3},
+    "presliding_friction": {"presliding_friction": 2.0},
+    "flexible_load": {"flexible_load_share": 0.3},
 }  # fmt: skip
 #: In every model: to be blind to them is to have the usual value.
 ALWAYS = {"input_gain": 0.3, "viscous_friction": 1.5, "dead_band_forward": 0.0, "dead_band_reverse": 0.0}

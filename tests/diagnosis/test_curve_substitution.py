@@ -31,8 +31,6 @@ CURVE = through("unknown_position", SPOTS, -STIFFENING * SPOTS**3)
 #: A spring, and gravity that pulls against it about the middle, or with it.
 AGAINST = {"gravity_gain": 4.8, "gravity_angle": np.pi, "spring_stiffness": 4.8, "spring_rest": 0.0}
 WITH = {**AGAINST, "gravity_angle": 0.0}
-#: Friction that gives by three degrees before it slides.
-GIVES = {"unknown_bend_level": 1.0, "unknown_bend_give": 0.05}
 
 
 def recorded(truth: Structure, largest: float = 25.0, **values: float) -> Recording:
@@ -231,49 +229,6 @@ def test_a_name_that_does_nothing_beside_the_curve_goes():
 def test_one_torque_or_what_the_first_model_knows_is_no_piece():
     cases, last = stiffening()
     assert curve_substitution.substitute_cancelling(FitProblem(cases), STRUCTURE.with_("gravity"), last) is None
-
-
-@pytest.mark.parametrize(
-    ("truth", "values", "first", "bent"),
-    [
-        ("unknown_bend", GIVES, STRUCTURE, True),
-        ("coulomb_friction", {"coulomb_friction": 1.0}, STRUCTURE, False),
-        # What the user says is there keeps its place.
-        ("unknown_bend", GIVES, STRUCTURE.with_("coulomb_friction"), False),
-    ],
-    ids=["gives", "holds", "known"],
-)  # fmt: skip
-def test_friction_that_gives_takes_the_place_of_dry_friction(truth, values, first, bent):
-    dry = STRUCTURE.with_("coulomb_friction")
-    cases = [prepared_recording.prepare_recording(recorded(STRUCTURE.with_(truth), 25.0, **values), dry)]
-    begin = preparation.complete_values(dry, VALUES | {"coulomb_friction": 0.5})
-    last = optimizer.fit_with_process_noise(FitProblem(cases), dry, begin, free_parameters(dry))
-    found = curve_substitution.best_substitution(FitProblem(cases), first, last)
-    assert (found is not None) is bent
-    if found is not None:
-        assert found.ids == ("coulomb_friction",) and found.curve.structure == STRUCTURE.with_("unknown_bend")
-
-
-@pytest.mark.parametrize(
-    ("truth", "values", "bent"),
-    [
-        (("unknown_bend",), {"unknown_bend_level": 1.0, "unknown_bend_give": 0.01}, True),
-        (("coulomb_friction", "load_dependent_friction"), {"coulomb_friction": 1.0, "load_friction": 0.15}, False),
-    ],
-    ids=["gives", "holds"],
-)
-def test_one_friction_that_gives_is_likelier_than_two_kinds_that_do_as_well(monkeypatch, truth, values, bent):
-    """Even if it shows no better than they do."""
-    monkeypatch.setattr(curve_substitution.selection_round, "is_confirmed", lambda cases, before, after: False)
-    dry = STRUCTURE.with_("coulomb_friction", "load_dependent_friction")
-    cases = [prepared_recording.prepare_recording(recorded(STRUCTURE.with_(*truth), 25.0, **values), dry)]
-    begin = preparation.complete_values(dry, VALUES | {"coulomb_friction": 0.5, "load_friction": 0.1})
-    last = optimizer.fit_with_process_noise(FitProblem(cases), dry, begin, free_parameters(dry))
-    found = curve_substitution.substitute_presliding(FitProblem(cases), STRUCTURE, last)
-    assert (found is not None) is bent
-    if found is not None:
-        assert set(found.ids) == {"coulomb_friction", "load_dependent_friction"}
-        assert found.curve.structure == STRUCTURE.with_("unknown_bend")
 
 
 @pytest.mark.parametrize(("overtone", "verdict"), [(0.15, "partly_explained"), (0.6, "unexplained")])

@@ -18,6 +18,7 @@ from twin.diagnosis import (
     model_comparison,
     nonparametric,
     residual_torque,
+    selection_round,
     thresholds,
 )
 from twin.diagnosis.forward_selection import Alternative, SearchResult
@@ -86,6 +87,13 @@ def with_name(case: PreparedRecording, base: Fit, *names: str) -> Fit:
     )
 
 
+def screened(case: PreparedRecording, base: Fit, effect: str) -> Fit:
+    """The base and an effect, from where the screening begins with it."""
+    problem = FitProblem([case])
+    (found,) = selection_round.screen_candidates(problem, base, [effect])
+    return optimizer.levenberg_marquardt_from(problem, found.point, rounds=100, tolerance=0.01)
+
+
 def hidden(case: PreparedRecording) -> PreparedRecording:
     """The case with its first second not judged."""
     return replace(case, contact_mask=case.drive.time < 1.0)
@@ -109,10 +117,10 @@ WARMING = through("unknown_drag", TIMES, np.exp(-TIMES / 8.0))
 SPEEDS = np.linspace(-8.0, 8.0, KNOTS)
 HUMP = through("unknown_velocity", SPEEDS, 2.5 * np.sign(SPEEDS) * np.exp(-((np.abs(SPEEDS) - 4.0) ** 2)))
 #: Friction that gives by three degrees before it slides.
-BENT = {"unknown_bend_level": 1.0, "unknown_bend_give": 0.05}
+BENT = {"presliding_friction": 1.0, "presliding_travel": 0.05}
 #: A liquid that the walls of its vessel drag along, and a load that hangs from the link and swings twice a second.
-LIQUID = {"unknown_swing_share": 0.3, "unknown_swing_stiffness": 0.0, "unknown_swing_damping": 3.0}
-HANGING = {"unknown_swing_share": 0.3, "unknown_swing_stiffness": 160.0, "unknown_swing_damping": 1.0}
+LIQUID = {"flexible_load_share": 0.3, "flexible_load_stiffness": 0.0, "flexible_load_damping": 3.0}
+HANGING = {"flexible_load_share": 0.3, "flexible_load_stiffness": 160.0, "flexible_load_damping": 1.0}
 CASES = {
     "hump": lambda: recorded(10, ("unknown_velocity",), **HUMP),
     "humped": lambda: recorded(11, ("unknown_velocity", "coulomb_friction"), coulomb_friction=3.0, **HUMP),
@@ -124,9 +132,9 @@ CASES = {
     "gain": lambda: recorded(7, ("unknown_gain",), unknown_gain_sin_1=0.2),
     "push": lambda: recorded(8, ("unknown_push",), unknown_push_order=3.0, unknown_push_forward_cos_1=4.0),
     "crank": lambda: recorded(14, ("unknown_inertia",), unknown_inertia_sin_1=0.2),
-    "bend": lambda: recorded(12, ("unknown_bend",), **BENT),
-    "liquid": lambda: recorded(15, ("unknown_swing",), **LIQUID),
-    "hanging": lambda: recorded(15, ("unknown_swing",), **HANGING),
+    "bend": lambda: recorded(12, ("presliding_friction",), **BENT),
+    "liquid": lambda: recorded(15, ("flexible_load",), **LIQUID),
+    "hanging": lambda: recorded(15, ("flexible_load",), **HANGING),
     "dry": lambda: recorded(13, ("coulomb_friction",), coulomb_friction=1.0),
     "nothing": lambda: recorded(5),
 }
@@ -654,18 +662,27 @@ def test_friction_that_gives_is_told_from_friction_that_holds():
     is, what gives becomes dry: it earns nothing and is not believed.
     """
     case, point = fitted("bend")
-    gives, holds = with_curve([case], point, CurveTerm("bend")), with_name(case, point, "coulomb_friction")
+    gives, holds = screened(case, point, "presliding_friction"), with_name(case, point, "coulomb_friction")
     assert model_comparison.is_significant(holds, gives) and is_plausible(FitProblem([case]), gives)
     assert gives.values == pytest.approx({**gives.values, **BENT}, rel=0.1)
     case, point = fitted("dry")
-    gives, holds = with_curve([case], point, CurveTerm("bend")), with_name(case, point, "coulomb_friction")
+    gives, holds = screened(case, point, "presliding_friction"), with_name(case, point, "coulomb_friction")
     assert model_comparison.criterion_difference(gives, holds) < 0.0 and not is_plausible(FitProblem([case]), gives)
+
+
+def test_friction_that_gives_takes_the_place_of_dry_friction() -> None:
+    """Beside dry friction that is named already there is nothing left of it to give."""
+    case, point = fitted("bend")
+    dry = with_name(case, point, "coulomb_friction")
+    gives = screened(case, dry, "presliding_friction")
+    assert gives.structure == STRUCTURE.with_("presliding_friction") and model_comparison.is_significant(dry, gives)
+    assert gives.values == pytest.approx({**gives.values, **BENT}, rel=0.1)
 
 
 @pytest.mark.parametrize("which", ["liquid", "hanging"])
 def test_what_rides_on_the_link_is_told_from_a_joint_that_rings(which: str) -> None:
     case, point = fitted(which)
-    rides = with_curve([case], point, CurveTerm("swing"))
+    rides = screened(case, point, "flexible_load")
     errors = np.sqrt(np.diag(rides.robust_covariance))
     for name, true in {"liquid": LIQUID, "hanging": HANGING}[which].items():
         error = errors[rides.free.index(name)]
@@ -679,10 +696,10 @@ def test_what_rides_on_the_link_is_told_from_a_joint_that_rings(which: str) -> N
 
 def test_what_is_held_as_if_it_were_part_of_the_link_rides_on_nothing() -> None:
     case, point = fitted("nothing")
-    rides = with_curve([case], point, CurveTerm("swing"))
+    rides = screened(case, point, "flexible_load")
     assert not model_comparison.is_significant(point, rides)
-    for hold in ("unknown_swing_stiffness", "unknown_swing_damping"):
-        firmly = {**rides.values, "unknown_swing_stiffness": 10.0, "unknown_swing_damping": 1.0}
+    for hold in ("flexible_load_stiffness", "flexible_load_damping"):
+        firmly = {**rides.values, "flexible_load_stiffness": 10.0, "flexible_load_damping": 1.0}
         assert is_plausible(FitProblem([case]), replace(rides, values=firmly))
         firmly[hold] = parameter_bounds.bounds_of(hold)[1]
         assert not is_plausible(FitProblem([case]), replace(rides, values=firmly))
@@ -690,14 +707,14 @@ def test_what_is_held_as_if_it_were_part_of_the_link_rides_on_nothing() -> None:
 
 def test_friction_that_gives_by_a_count_is_none():
     case, point = fitted("nothing")
-    structure = STRUCTURE.with_("unknown_bend")
+    structure = STRUCTURE.with_("presliding_friction")
     for give, right in ((2.0 * COUNT, False), (4.0 * COUNT, True), (0.5 * float(np.ptp(case.positions)), False)):
-        values = {**point.values, "unknown_bend_level": 1.0, "unknown_bend_give": give}
+        values = {**point.values, "presliding_friction": 1.0, "presliding_travel": give}
         assert is_plausible(FitProblem([case]), replace(point, structure=structure, values=values)) is right
     # A finer encoder sees what every dry contact gives by.
     fine = replace(case, recording=replace(case.recording, resolution=0.01 * COUNT))
     for give, right in ((5e-4, False), (2e-3, True)):
-        values = {**point.values, "unknown_bend_level": 1.0, "unknown_bend_give": give}
+        values = {**point.values, "presliding_friction": 1.0, "presliding_travel": give}
         assert is_plausible(FitProblem([fine]), replace(point, structure=structure, values=values)) is right
 
 

@@ -79,7 +79,7 @@ def test_contract_ids_exist():
         friction_asymmetry position_dependent_friction load_dependent_friction constant_offset quadratic_drag
         gravity spring torque_ripple end_stop joint_elasticity motor_lag input_delay drive_saturation supply_sag
         thermal_fade load_change encoder_eccentricity periodic_disturbance viscous_asymmetry friction_run_in
-        sticky_sector detent disturbance_pulse"""
+        sticky_sector detent disturbance_pulse presliding_friction flexible_load"""
     assert set(promised.split()) <= set(EFFECTS)
     assert set(promised.split()) - set(BASE) <= set(CANDIDATES)
 

@@ -366,8 +366,8 @@ def test_a_free_link_of_varying_inertia_keeps_its_energy(speed):
 @pytest.mark.parametrize(("stiffness", "damping"), [(0.0, 3.0), (160.0, 1.0), (400.0, 0.0)])
 def test_what_rides_on_the_link_against_an_adaptive_integrator(stiffness, damping):
     """A link of two bodies in mesh, each pulled by the other; the rider's states are relative."""
-    structure = Structure.of(("inertia", "viscous_friction", "unknown_swing"))
-    hold = {"unknown_swing_share": 0.4, "unknown_swing_stiffness": stiffness, "unknown_swing_damping": damping}
+    structure = Structure.of(("inertia", "viscous_friction", "flexible_load"))
+    hold = {"flexible_load_share": 0.4, "flexible_load_stiffness": stiffness, "flexible_load_damping": damping}
     values = {"input_gain": 0.4, "viscous_friction": 2.0, **hold}
     time, command = clock(2.0), np.repeat([40.0, 0.0, -25.0, 10.0], 250)
     _, states = run(structure, values, time, command)
@@ -386,8 +386,8 @@ def test_what_rides_on_the_link_against_an_adaptive_integrator(stiffness, dampin
 @pytest.mark.parametrize("stiff", [False, True])
 def test_blows_of_the_teeth_leave_what_rides_on_the_link_where_it_is(stiff):
     """Nothing from outside acts: whatever knocks, the momentum of motor, link and rider is what it was."""
-    structure = Structure.of((*BASE, "unknown_swing", *(("tooth_compliance",) if stiff else ())))
-    hold = {"unknown_swing_share": 0.5, "unknown_swing_stiffness": 200.0, "unknown_swing_damping": 1.0}
+    structure = Structure.of((*BASE, "flexible_load", *(("tooth_compliance",) if stiff else ())))
+    hold = {"flexible_load_share": 0.5, "flexible_load_stiffness": 200.0, "flexible_load_damping": 1.0}
     values = PLAIN | GAP | {"viscous_friction": 0.0, "tooth_frequency": 150.0, "tooth_damping": 0.2} | hold
     time = clock(1.0)
     start = kernel.start_state(0.0, -1.0, 0.0)

@@ -93,11 +93,11 @@ SYMBOLS: dict[str, str] = {
     "fade_emf": r"\rho_{h}",
     "fade_time": "T_{h}",
     "fade_reference": "u_{h}",
-    "unknown_bend_level": "F_{z}",
-    "unknown_bend_give": "d_{z}",
-    "unknown_swing_share": r"\mu_{r}",
-    "unknown_swing_stiffness": "k_{r}",
-    "unknown_swing_damping": "b_{r}",
+    "presliding_friction": "F_{z}",
+    "presliding_travel": "d_{z}",
+    "flexible_load_share": r"\mu_{r}",
+    "flexible_load_stiffness": "k_{r}",
+    "flexible_load_damping": "b_{r}",
 }
 _ARGUMENTS = {
     "position": "@",

@@ -165,10 +165,10 @@ def rates(x, p, k, command):
         way = speed_m
         if way < 0.0:
             way = -way
-        x.rate_bend = (speed_m - way * x.bend) / p.unknown_bend_give
+        x.rate_bend = (speed_m - way * x.bend) / p.presliding_travel
     tug = 0.0
     if has.rider:
-        tug = tugging(x.ride, x.ride_velocity, p.unknown_swing_stiffness, p.unknown_swing_damping)
+        tug = tugging(x.ride, x.ride_velocity, p.flexible_load_stiffness, p.flexible_load_damping)
         drawn = rider(tug, p)
         pull = pull + drawn
     forward = 0.0

@@ -252,7 +252,7 @@ def write(model: Model) -> str:
         speed = "motor_velocity" if two else "velocity"
         declared.append(_declare("Real", "bend", "1", "how far friction is bent before it slides", more=_RESTING))
         declared.append(_declare("Real", "pushing", f"{x}/s^2", "torques on the motor over inertia, that friction too"))
-        equations.append(f"unknown_bend_give*der(bend) = {speed} - abs({speed})*bend;")
+        equations.append(f"presliding_travel*der(bend) = {speed} - abs({speed})*bend;")
         equations.append(f"pushing = {driving} + {_sum(model, 'bristle', {})};")
         driving = "pushing"
     if slots["rider"]:
@@ -262,7 +262,7 @@ def write(model: Model) -> str:
             _declare("Real", "tug", f"{x}/s^2", "acceleration by which it is drawn back"),
         ]
         equations += [
-            "tug = unknown_swing_stiffness*ride + unknown_swing_damping*ride_velocity;",
+            "tug = flexible_load_stiffness*ride + flexible_load_damping*ride_velocity;",
             "der(ride) = ride_velocity;",
             "der(ride_velocity) = -der(velocity) - tug;",
         ]

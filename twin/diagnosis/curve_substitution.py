@@ -2,10 +2,8 @@
 
 A spring that stiffens has no page. Over a short travel a linear spring describes most of it. Near the unstable
 equilibrium of gravity, a spring of the same strength leaves k (x - sin x), nearly k x^3 / 6. So the two together
-describe it there. So what a model names over position or speed is compared with a curve over it. Friction whose
-bristles bend before they slide depends on the travel since the last reversal. No curve over a state of motion follows
-that. Most of it is dry friction, which is compared with it. Where a motor's gain varies with its angle, the axis
-oscillates about its path, which looks like an eccentric encoder.
+describe it there. So what a model names over position or speed is compared with a curve over it. Where a motor's gain
+varies with its angle, the axis oscillates about its path, which looks like an eccentric encoder.
 """
 
 from __future__ import annotations
@@ -165,33 +163,6 @@ def is_ripple(last: Fit, curve: Fit) -> bool:
     return abs(order / last.values["ripple_order"] - 1.0) < thresholds.LAW_TOLERANCE
 
 
-def substitute_presliding(problem: FitProblem, first: Structure, last: Fit) -> Substitution | None:
-    """Friction with presliding, in the place of all dry friction that the last model names. None where there is none,
-    or the recording does not support it.
-    """
-    ids = tuple(e.id for e in last.structure.effects if e.slot == "grip" and e.id not in first)
-    if not ids:
-        return None
-    sketched = nonparametric.sketch_curve(problem, _without_effects(last, ids), nonparametric.CurveTerm("bend"))
-    bent = nonparametric.restart_curve_gap(problem, nonparametric.fit_curve(problem, sketched))
-    # What one thing does about as well as two kinds of friction do is more likely to be that one.
-    briefer = len(bent.structure.named) < len(last.structure.named)
-    speaks = (
-        model_comparison.criterion_difference_penalised(bent, last) < -thresholds.MIN_GAIN
-        if briefer
-        else selection_round.is_confirmed(problem, last, bent)
-    )
-    if not (speaks and is_plausible(problem, bent, last)):
-        return None
-    better = model_comparison.gain(last, bent)
-    much = f"better by {better:.0f} units of deviance, where {thresholds.MIN_GAIN:.0f} would do"
-    says = (
-        f"{_titles(ids)} would fit in part, but friction that gives before it slides, which is more than a name of "
-        f"the list says, fits {'as well by itself' if briefer and better < thresholds.MIN_GAIN else much}."
-    )
-    return Substitution(ids, bent, says)
-
-
 def substitute_gain_wave(problem: FitProblem, first: Structure, last: Fit) -> Substitution | None:
     """A motor whose gain varies with the angle, in the place of an eccentric encoder that the last model names. Each is
     one wave per turn, so the likelier one is taken. None where there is none, or the gain is not likelier.
@@ -252,8 +223,7 @@ def best_substitution(problem: FitProblem, first: Structure, last: Fit) -> Subst
     variables = [v for v in CURVE_SLOTS if not (problem.recordings[0].drive.speed and v == "position")]
     pieces = substitute_cancelling(problem, first, last) if "position" in variables else None
     curves = [substitute_curve(problem, first, last, v) for v in variables] if pieces is None else [pieces]
-    tried = each(lambda way: way(problem, first, last), (substitute_presliding, substitute_gain_wave))
-    found = [r for r in (*curves, *tried) if r is not None]
+    found = [r for r in (*curves, substitute_gain_wave(problem, first, last)) if r is not None]
     best: Substitution | None = min(found, key=lambda r: r.curve.deviance, default=None)
     if best is None:
         return None

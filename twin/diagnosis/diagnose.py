@@ -49,7 +49,7 @@ from twin.model.stepper import Structure
 from twin.parallel import each
 
 #: Shapes that are tried whatever the missing torque shows: the likelihood sees more of them than its averages do.
-ALWAYS_TRIED = ("position", "velocity", "input", "time", "drag", "bend", "swing")
+ALWAYS_TRIED = ("position", "velocity", "input", "time", "drag")
 
 
 def _fitness(chosen: Sequence[Trace], which: str, white: float) -> Fitness:

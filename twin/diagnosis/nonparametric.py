@@ -21,14 +21,13 @@ from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
 from twin.diagnosis import residual_torque, thresholds
 from twin.diagnosis.residual_torque import MissingTorque
-from twin.effects.catalogue import EFFECTS, pages
+from twin.effects.catalogue import pages
 from twin.effects.knots import KNOTS, names, slopes, spots, through
 from twin.estimation import likelihood, local_optima, multistart, optimizer
 from twin.estimation.fit import Fit
 from twin.estimation.prepared_recording import PreparedRecording
 from twin.estimation.problem import FitProblem
 from twin.model.stepper import Structure
-from twin.parallel import each
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -285,20 +284,11 @@ class CurveTerm:
 #: What a term over a variable makes superfluous: it holds any straight line itself.
 _REPLACED_PARAMETER = {"velocity": "viscous_friction", "drag": "viscous_friction", "input": "input_gain"}
 #: Kinds of term; each is the effect unknown_<kind>. A drag is viscous friction over time. A gain is the motor's gain
-#: over its angle. A push is a torque over the angle that differs with the command's sign. A bend is friction with
-#: presliding. A swing is a body that rides on the link. An inertia is the link's over its angle.
-TERM_KINDS = ("position", "angle", "velocity", "input", "time", "drag", "gain", "push", "bend", "swing", "inertia")
+#: over its angle. A push is a torque over the angle that differs with the command's sign. An inertia is the link's over
+#: its angle.
+TERM_KINDS = ("position", "angle", "velocity", "input", "time", "drag", "gain", "push", "inertia")
 #: Those of waves over the angle.
 _WAVE_KINDS = ("angle", "gain", "push", "inertia")
-#: Kinds with a state of their own, and their start values: presliding displacements, rad, and the spring (1/s^2) and
-#: damper (1/s) of a body that rides along.
-_MEMORY_STARTS: Mapping[str, tuple[dict[str, float], ...]] = {
-    "bend": tuple({"unknown_bend_give": way} for way in (0.003, 0.01, 0.03, 0.1)),
-    "swing": tuple(
-        {"unknown_swing_stiffness": spring, "unknown_swing_damping": damper}
-        for spring, damper in ((0.0, 0.5), (0.0, 4.0), (20.0, 1.0), (100.0, 2.0), (500.0, 4.0), (2000.0, 8.0))
-    ),
-}
 #: Period of a wave where the axis does not turn, in travels. The curve need not be the same at both ends.
 _TRAVELS_PER_TURN = 1.5
 #: Knots of the finer line that shows where a curve bends.
@@ -420,24 +410,6 @@ def _masked_torque(case: PreparedRecording, missing: MissingTorque) -> MissingTo
     return replace(missing, torque=torque) if enough else missing
 
 
-def sketch_with_memory(problem: FitProblem, base: Fit, term: CurveTerm) -> Fit:
-    """The base model and a term with a state of its own, after a few steps from the likeliest of some starts."""
-    effect, lever = EFFECTS[f"unknown_{term.kind}"], max(c.recording.lever for c in problem.recordings)
-    structure = base.structure.with_(effect.id)
-    scale = {p.name: lever if p.unit == "{x}" else 1.0 for p in effect.parameters}
-    starts = ({n: v * scale[n] for n, v in start.items()} for start in _MEMORY_STARTS[term.kind])
-    size, *others = (p.name for p in effect.parameters)
-    free = (*base.free, size)
-
-    def climbed(values: Mapping[str, float], free: tuple[str, ...]) -> Fit:
-        return optimizer.levenberg_marquardt(
-            problem.at(base.process_noise), structure, values, free, rounds=5, tolerance=1.0
-        )
-
-    trials = each(lambda start: climbed({**base.values, size: 0.0, **start}, free), starts)
-    return climbed(min(trials, key=lambda p: p.deviance).values, (*free, *others))
-
-
 def is_torque_known(problem: FitProblem, base: Fit) -> bool:
     """Whether the readings are dense enough for the torque that the model lacks to be read off them anywhere."""
     lacking = (residual_torque.missing_torque(c, base.structure, base.values) for c in problem.recordings)
@@ -447,8 +419,6 @@ def is_torque_known(problem: FitProblem, base: Fit) -> bool:
 def sketch_curve(problem: FitProblem, base: Fit, term: CurveTerm) -> Fit:
     """The base model and a term of no known shape, after a few steps at the base's noise density."""
     kind = term.kind
-    if kind in _MEMORY_STARTS:
-        return sketch_with_memory(problem, base, term)
     structure = base.structure.with_(f"unknown_{kind}")
     parts = [
         _averages(_masked_torque(c, residual_torque.missing_torque(c, base.structure, base.values)))
@@ -496,7 +466,7 @@ def restart_curve_gap(problem: FitProblem, point: Fit) -> Fit:
 
 #: What can draw the tables that are not drawn by the term over their first variable.
 _TERMS_OF_TABLE = {
-    "direction": ("velocity",), "since reversal": ("bend", "position"), "acceleration": ("input",),
+    "direction": ("velocity",), "since reversal": ("position",), "acceleration": ("input",),
     "angle, push": ("push",), "angle, input": ("gain",), "position, input": ("gain",),
     "angle, acceleration": ("inertia",), "position, acceleration": ("inertia",),
     "input, velocity": ("input", "velocity"), "velocity, time": ("velocity", "drag"), "time": ("time", "drag"),

@@ -123,14 +123,14 @@ def _presliding(cases: Sequence[PreparedRecording], values: Mapping[str, float])
     """It slides within the travel. Its presliding exceeds the encoder's count, and that of any dry contact."""
     seen = [thresholds.MIN_GIVE_ANGLE * c.recording.lever for c in cases]
     seen += [thresholds.MIN_GIVE_COUNTS * c.recording.resolution for c in cases if not c.drive.speed]
-    return max(seen) < values["unknown_bend_give"] < thresholds.MAX_GIVE * float(np.ptp(_positions(cases)))
+    return max(seen) < values["presliding_travel"] < thresholds.MAX_GIVE * float(np.ptp(_positions(cases)))
 
 
 def _flexible_load(cases: Sequence[PreparedRecording], values: Mapping[str, float]) -> bool:
     """It is held loosely enough to be left behind: what is not is inertia of the link."""
-    _, stiffest = parameter_bounds.bounds_of("unknown_swing_stiffness")
-    _, most = parameter_bounds.bounds_of("unknown_swing_damping")
-    return values["unknown_swing_stiffness"] < stiffest / 1.5 and values["unknown_swing_damping"] < most / 1.5
+    _, stiffest = parameter_bounds.bounds_of("flexible_load_stiffness")
+    _, most = parameter_bounds.bounds_of("flexible_load_damping")
+    return values["flexible_load_stiffness"] < stiffest / 1.5 and values["flexible_load_damping"] < most / 1.5
 
 
 RULES: Mapping[str, Rule] = {
@@ -146,8 +146,8 @@ RULES: Mapping[str, Rule] = {
     "encoder_eccentricity": _eccentricity,
     "position_dependent_friction": _position_dependent_friction,
     "end_stop": _stop,
-    "unknown_bend": _presliding,
-    "unknown_swing": _flexible_load,
+    "presliding_friction": _presliding,
+    "flexible_load": _flexible_load,
 }
 
 

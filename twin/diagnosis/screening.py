@@ -194,6 +194,12 @@ def trial_grids(
     out["drive_saturation"] = [{"saturation_limit": f * span} for f in (0.4, 0.55, 0.7, 0.85, 0.95)]
     # Behind the dead-band or ahead of it; what lies between is no choice of a recording.
     out["motor_lag"] = [{"lag_time": t, "lag_dead_band": share} for t in (0.003, 0.01, 0.03) for share in (0.0, 1.0)]
+    # Beside dry friction no slope leads to friction that gives: it is tried in its place, as large.
+    drive = values["input_gain"] * span
+    dry = [values["coulomb_friction"]] if "coulomb_friction" in structure else [0.03 * drive, 0.15 * drive]
+    out["presliding_friction"] = [
+        {**row, "presliding_friction": size} for row in out["presliding_friction"] for size in dry
+    ]
     out["input_delay"] = [{"delay": t} for t in (0.002, 0.006, 0.015)]
     stops = []
     for high, low in ((1, 0), (0, 1), (1, 1)):
@@ -242,7 +248,9 @@ def with_gap_sides(
 
 
 #: Candidates whose gain has no neutral value to differentiate at, or acts too far from it: tried as they are.
-WITHOUT_SCORE_TEST = ("drive_saturation", "motor_lag", "input_delay", "end_stop", "joint_elasticity")
+WITHOUT_SCORE_TEST = (
+    "drive_saturation", "motor_lag", "input_delay", "end_stop", "joint_elasticity", "presliding_friction",
+)  # fmt: skip
 
 
 #: Candidates that repeat with a full turn: a linear axis has none.
@@ -455,9 +463,15 @@ _STEP_SHARES = (1.0, 0.3, 0.1, 0.0)
 
 
 def structure_with(structure: Structure, effect: str) -> Structure:
-    """The structure with the effect; a soft joint stands for the teeth, too."""
+    """The structure with the effect; a soft joint stands for the teeth, too, and dry friction that gives for all that
+    does not.
+    """
     longer = structure.with_(effect)
-    return longer.without("tooth_compliance") if effect == "joint_elasticity" else longer
+    if effect == "joint_elasticity":
+        return longer.without("tooth_compliance")
+    if effect == "presliding_friction":
+        return longer.without(*(e.id for e in longer.effects if e.slot == "grip"))
+    return longer
 
 
 def most_likely_values(

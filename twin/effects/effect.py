@@ -42,6 +42,8 @@ class Recorded:
     lowest: float  # least position, in the axis' unit
     travel: float  # greatest position minus least
     turns: bool  # the axis turns; else it is a linear one
+    step: float  # s, between two readings
+    lever: float  # what an angle of 1 rad is in the axis' unit
 
 
 @dataclass(frozen=True)

@@ -47,9 +47,10 @@ class PreparedRecording:
 
     @cached_property
     def recorded(self) -> Recorded:
-        """What a page may know of the recording: its length and travel."""
+        """What a page may know of the recording: its length, travel and sample time."""
         lowest, highest = float(np.min(self.positions)), float(np.max(self.positions))
-        return Recorded(float(self.drive.time[-1]), lowest, highest - lowest, self.recording.is_angle)
+        turns = self.recording.is_angle
+        return Recorded(float(self.drive.time[-1]), lowest, highest - lowest, turns, self.step, self.recording.lever)
 
     @cached_property
     def resting(self) -> NDArray[np.bool_]:

@@ -390,10 +390,12 @@ def piece(x, p, k, command, h):
             until = ahead / x.velocity
             if until > 1e-9 and until < h:
                 h = until
-    # However firmly something is held that rides on the link, it does not shake it.
+    # However firmly something is held that rides on the link, it does not shake it; its swing is followed.
     if has.rider:
-        firm = p.unknown_swing_damping * (1.0 + p.unknown_swing_share / mass_l)
-        h = halved(h, firm, 0.5)
+        firm = 1.0 + p.flexible_load_share / mass_l
+        h = halved(h, p.flexible_load_damping * firm, 0.5)
+        swings = sqrt(p.flexible_load_stiffness * firm)
+        h = halved(h, swings, 0.3)
     if fine > h:
         fine = h
     per_m = 1.0 / mass_m
@@ -502,17 +504,17 @@ def piece(x, p, k, command, h):
             if has.bristle:
                 leaning = x.bend
                 if stage == 1:
-                    leaning = bent_by(x.bend, 0.5 * middle * (x.motor_velocity + speed_m), p.unknown_bend_give)
+                    leaning = bent_by(x.bend, 0.5 * middle * (x.motor_velocity + speed_m), p.presliding_travel)
                 held = bristle(leaning, p)
                 push_m = push_m + held
             push_l = pull + (1.0 - share) * resist_l
             if has.rider:
                 if stage == 0:
-                    tug = tugging(x.ride, x.ride_velocity, p.unknown_swing_stiffness, p.unknown_swing_damping)
+                    tug = tugging(x.ride, x.ride_velocity, p.flexible_load_stiffness, p.flexible_load_damping)
                 else:
                     ride = x.ride + middle * x.ride_velocity
                     speed = x.ride_velocity - speed_l + x.velocity - middle * tug
-                    tug = tugging(ride, speed, p.unknown_swing_stiffness, p.unknown_swing_damping)
+                    tug = tugging(ride, speed, p.flexible_load_stiffness, p.flexible_load_damping)
                 drawn = rider(tug, p)
                 push_l = push_l + drawn
             if has.shaft:
@@ -684,13 +686,13 @@ def piece(x, p, k, command, h):
     if has.thermal_fade:
         x.heat = warm + (x.heat - warm) * exp(-span / p.fade_time)
     if has.bristle:
-        leaning = bent_by(x.bend, 0.5 * span * (before + x.motor_velocity), p.unknown_bend_give)
+        leaning = bent_by(x.bend, 0.5 * span * (before + x.motor_velocity), p.presliding_travel)
         x.bend = leaning
     if has.rider:
         # It stays behind by what the link gains.
         x.ride = x.ride + 0.5 * span * x.ride_velocity
-        slows = 0.5 * span * p.unknown_swing_damping
-        kept = x.ride_velocity * (1.0 - slows) - x.velocity + before_l - span * p.unknown_swing_stiffness * x.ride
+        slows = 0.5 * span * p.flexible_load_damping
+        kept = x.ride_velocity * (1.0 - slows) - x.velocity + before_l - span * p.flexible_load_stiffness * x.ride
         x.ride_velocity = kept / (1.0 + slows)
         x.ride = x.ride + 0.5 * span * x.ride_velocity
     x.time = x.time + span
