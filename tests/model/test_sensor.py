@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from axis_runs import run, steps
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.estimation import estimate, likelihood, optimizer, prepared_recording
@@ -22,6 +22,7 @@ VALUES = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, 
 COUNT = 2.0 * np.pi / 16384
 
 
+@settings(deadline=None)
 @given(st.floats(-20.0, 20.0), st.floats(0.0, 0.5), st.floats(-7.0, 7.0))
 def test_the_sensor_reads_there_what_was_read(reading: float, size: float, angle: float) -> None:
     values = {**VALUES, "eccentricity": size, "eccentricity_angle": angle}
