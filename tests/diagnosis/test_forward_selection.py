@@ -279,17 +279,24 @@ def test_what_the_first_model_has_stays_where_what_contains_it_goes() -> None:
     assert {s.named for s in alone} == {("coulomb_friction",), ()}
 
 
-def test_what_a_law_misses_of_its_own_effect_is_no_other_effect() -> None:
-    """Beside an effect that does much, another has to do more than one that is there alone."""
+def of_innovations(count: int, variance: float) -> fit.Fit:
+    """A fit with so many innovations of one variance."""
     nothing = np.eye(0)
-    begun = fit.Fit(Structure.of(BASE), {}, 1.0, (), 0.0, 1.0, nothing, np.zeros(0), nothing)
-    for much, needed in ((-100.0 * thresholds.MIN_GAIN, 1.5), (-800.0 * thresholds.MIN_GAIN, 3.5)):
-        less = replace(begun, deviance=much)
-        enough, scant = (
-            replace(begun, deviance=much - times * thresholds.MIN_GAIN) for times in (needed, needed - 0.5)
-        )
-        assert forward_selection._best_smaller(FitProblem([]), enough, [less, begun], begun) is enough
-        assert forward_selection._best_smaller(FitProblem([]), scant, [less, begun], begun) is less
+    deviance = count * (1.0 + np.log(variance))
+    return fit.Fit(Structure.of(BASE), {}, 1.0, (), deviance, variance, nothing, np.zeros(0), nothing)
+
+
+@pytest.mark.parametrize("removed", [0.5, 10.0, 1000.0])
+@pytest.mark.parametrize("count", [2000, 50000])
+def test_what_a_law_misses_of_its_own_effect_is_no_other_effect(removed: float, count: int) -> None:
+    """Beside a law that took much variance away, another effect has to do more than that law may err by."""
+    begun = of_innovations(count, 1.0 + removed)
+    for times, is_other in ((0.9, False), (1.1, True)):
+        # A law that errs by a twentieth, and an effect that makes up for so many times of its error.
+        left = times * (removed * thresholds.LAW_TOLERANCE**2 + thresholds.MIN_GAIN / count)
+        less, more = of_innovations(count, 1.0 + left), of_innovations(count, 1.0)
+        kept = forward_selection._best_smaller(FitProblem([]), more, [less, begun], begun)
+        assert kept is (more if is_other else less)
 
 
 def test_a_larger_model_is_never_behind_the_smaller_one_that_it_contains(monkeypatch) -> None:

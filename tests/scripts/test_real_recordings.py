@@ -33,6 +33,9 @@ DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 real = pytest.mark.skipif(not DATA.is_dir(), reason="the real recordings are not here")
 
 
+BARE = Structure.of(["inertia", "viscous_friction"])
+
+
 def made(
     unit: str, count: int, duration: float = 10.0, swing: float = 0.3
 ) -> list[prepared_recording.PreparedRecording]:
@@ -40,25 +43,28 @@ def made(
     time = np.arange(0.0, duration, 0.01)
     output = swing * np.sin(np.pi * time)
     one = Recording("made", time, np.cos(np.pi * time), output, "V", unit, resolution=1e-4)
-    structure = Structure.of(["inertia", "viscous_friction"])
-    return [prepared_recording.prepare_recording(replace(one, name=f"made {k}"), structure) for k in range(count)]
+    return [prepared_recording.prepare_recording(replace(one, name=f"made {k}"), BARE) for k in range(count)]
 
 
 def test_only_what_such_recordings_can_show_is_offered() -> None:
-    assert set(screening.testable_candidates(FitProblem(made("rad", 1, swing=5.0)), CANDIDATES)) == set(CANDIDATES)
-    linear = screening.testable_candidates(FitProblem(made("m", 1)), CANDIDATES)
+    assert set(screening.testable_candidates(FitProblem(made("rad", 1, swing=5.0)), CANDIDATES, BARE)) == set(
+        CANDIDATES
+    )
+    linear = screening.testable_candidates(FitProblem(made("m", 1)), CANDIDATES, BARE)
     assert "constant_offset" in linear and not {"gravity", "encoder_eccentricity"} & set(linear)
-    several = screening.testable_candidates(FitProblem(made("rad", 2, swing=5.0)), CANDIDATES)
+    several = screening.testable_candidates(FitProblem(made("rad", 2, swing=5.0)), CANDIDATES, BARE)
     assert "gravity" in several and not {"load_change", "periodic_disturbance"} & set(several)
-    short = screening.testable_candidates(FitProblem(made("rad", 1, swing=0.3)), CANDIDATES)
+    short = screening.testable_candidates(FitProblem(made("rad", 1, swing=0.3)), CANDIDATES, BARE)
     assert "gravity" in short and "encoder_eccentricity" not in short
     assert "position_dependent_friction" in short, "it turns with the motion over a tenth of a turn, too"
-    shorter = screening.testable_candidates(FitProblem(made("rad", 1, swing=0.2)), CANDIDATES)
+    shorter = screening.testable_candidates(FitProblem(made("rad", 1, swing=0.2)), CANDIDATES, BARE)
     assert "gravity" in shorter and "position_dependent_friction" not in shorter
-    third = screening.testable_candidates(FitProblem(made("rad", 1, swing=1.0)), CANDIDATES)
+    third = screening.testable_candidates(FitProblem(made("rad", 1, swing=1.0)), CANDIDATES, BARE)
     assert {"encoder_eccentricity", "position_dependent_friction"} <= set(third)
-    speeds = screening.testable_candidates(FitProblem(made("rad/s", 2)), CANDIDATES)
+    speeds = screening.testable_candidates(FitProblem(made("rad/s", 2)), CANDIDATES, BARE)
     assert "drive_saturation" in speeds and not {"gravity", "spring", "torque_ripple"} & set(speeds)
+    known = screening.testable_candidates(FitProblem(made("rad", 1)), CANDIDATES, BARE.with_("coulomb_friction"))
+    assert "stribeck_friction" in known and "presliding_friction" not in known, "it would replace what the user knows"
 
 
 @pytest.mark.parametrize(("frequency", "outside"), [(0.5, False), (1.0, False), (0.37, True), (2.3, True)])

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from twin.diagnosis import (
     cross_validation,
+    law_tolerance,
     model_comparison,
     nonparametric,
     residual_torque,
@@ -117,15 +118,17 @@ def _departure(problem: FitProblem, last: Fit, curve: Fit, ids: Sequence[str], v
 
 
 def substitute_curve(problem: FitProblem, first: Structure, last: Fit, variable: str) -> Substitution | None:
-    """A curve over the variable that improves the fit significantly beside what the last model names over it. None
-    where it does not, or nothing is named."""
+    """A curve over the variable that improves the fit beside what the last model names over it, by more than errors of
+    the named laws may. None where it does not, or nothing is named."""
     ids = _named_over(first, last.structure, variable)
     if not ids:
         return None
     curve = _fit_curve_instead(problem, last, ids, variable)
     departs = _departure(problem, last, curve, ids, variable) >= thresholds.LAW_TOLERANCE
+    doubt = law_tolerance.doubt(law_tolerance.plain_fit(problem, first, last), last)
     if not (
         departs
+        and model_comparison.is_significant(last, curve, doubt)
         and selection_round.is_confirmed(problem, last, curve)
         and cross_validation.gain_p_value(problem, last, curve) < thresholds.CURVE_MAX_P_VALUE
     ):

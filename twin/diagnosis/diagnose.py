@@ -23,6 +23,7 @@ from twin.diagnosis import (
     forward_selection,
     handed_out,
     holdout,
+    law_tolerance,
     model_comparison,
     nonparametric,
     residual_torque,
@@ -236,7 +237,8 @@ def _curve_replaces_names(
         and left[0].p_value < thresholds.CERTAIN_DEPENDENCE_P_VALUE
         and model_comparison.gain(found.last, nameless) > 0.0
     )
-    earns = model_comparison.is_significant(found.last, nameless)
+    doubt = law_tolerance.doubt(law_tolerance.plain_fit(found.problem, found.first.structure, found.last), found.last)
+    earns = model_comparison.is_significant(found.last, nameless, doubt)
     if not (earns or certain):
         return False
     follows = "unknown_velocity" in nameless.structure and all(
@@ -516,6 +518,10 @@ def diagnose(
     failed = [n for n in failed if n.id not in found.last.structure]
     said += [f"Tried, not confirmed: {EFFECTS[n.id].title}; {n.reason}." for n in failed]
     said += _unequal_dead_bands(found.last, recordings[0].input_unit)
+    if "backlash" in first and "backlash" not in found.last.structure:
+        said.append(
+            "No gap shows: a model in which motor and link are one is more likely, so this one has no backlash."
+        )
     tell("fitting both models to the end", 0.87)
     judged, last_point = foreseen if found.last is seen else _fit_with_longest_memory(found)
     # Which contacts a model without the right physics should predict is not known.

@@ -10,13 +10,22 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from twin.diagnosis import events, model_comparison, screening, selection_round, thresholds, torque_regression
+from twin.diagnosis import (
+    events,
+    law_tolerance,
+    model_comparison,
+    screening,
+    selection_round,
+    thresholds,
+    torque_regression,
+)
 from twin.diagnosis.plausibility import is_plausible
 from twin.diagnosis.selection_round import Hypothesis, Round
 from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.effects.end_stop import NOWHERE
 from twin.estimation import (
     contact_masking,
+    likelihood,
     local_optima,
     multistart,
     optimizer,
@@ -73,12 +82,12 @@ def _refits(problem: FitProblem, point: Fit, structures: Sequence[Structure]) ->
     return each(lambda s: local_optima.refit(problem.at(point.process_noise), s, point.values), structures)
 
 
-def _best_smaller(problem: FitProblem, point: Fit, lesser: Sequence[Fit], begun: Fit) -> Fit:
+def _best_smaller(problem: FitProblem, point: Fit, lesser: Sequence[Fit], plain: Fit) -> Fit:
     """The best of the lesser fits whose lack does not matter, or the point itself.
 
     What a law misses of what it stands for must not pass for another effect.
     """
-    missed = thresholds.LAW_TOLERANCE**2 * max(begun.deviance - point.deviance, 0.0)
+    missed = law_tolerance.doubt(plain, point)
     fair = [
         q for q in lesser if is_plausible(problem, q, point) and not model_comparison.is_significant(q, point, missed)
     ]
@@ -96,11 +105,13 @@ def _restart(problem: FitProblem, point: Fit) -> Fit:
 
 
 def _add_effects(
-    problem: FitProblem, best: Fit, candidates: Sequence[str], tell: Progress,
+    problem: FitProblem, best: Fit, first: Structure, candidates: Sequence[str], tell: Progress,
     most: int = thresholds.MAX_EFFECTS,
 ) -> tuple[Fit, list[Round]]:  # fmt: skip
     """The model with up to this many effects that improve the fit significantly, added one at a time. And the rounds,
     of which the last may have added none.
+
+    What laws of the model before may leave, since `first`, is no other effect.
     """
     rounds: list[Round] = []
     known: list[Hypothesis] = []
@@ -109,9 +120,9 @@ def _add_effects(
         best = _restart(problem, best) if rounds else best
         usual = selection_round.run_round(problem, best, known, open_)
         this = selection_round.retry_with_long_memory(problem, usual, open_)
-        if not this.won:
+        if not this.won or _is_left_by_laws(problem, first, this):
             best = this.before
-            rounds.append(this)
+            rounds.append(replace(this, won=False))
             events.announce(events.Reached(problem, best))
             break
         winner, best = this.rivals[0].point, _plain_winner(problem, this)
@@ -124,14 +135,21 @@ def _add_effects(
     return best, rounds
 
 
+def _is_left_by_laws(problem: FitProblem, first: Structure, this: Round) -> bool:
+    """Whether the winner of the round gains no more than the laws of the model before it may leave."""
+    doubt = law_tolerance.doubt(law_tolerance.plain_fit(problem, first, this.before), this.before)
+    return this.before.deviance - this.rivals[0].deviance < doubt
+
+
 def _prune(
     problem: FitProblem, best: Fit, begun: Fit
 ) -> tuple[Fit, list[Fit]]:  # fmt: skip
     """The model without its superfluous effects, and the smaller ones that it is compared with."""
     lesser: list[Fit] = []
+    plain = law_tolerance.plain_fit(problem, begun.structure, begun)
     while fewer := _smaller_structures(best.structure, begun.structure):
         lesser = [*_refits(problem, best, fewer), begun]
-        less = _best_smaller(problem, best, lesser, begun)
+        less = _best_smaller(problem, best, lesser, plain)
         if less is best:
             break
         best = less
@@ -173,33 +191,74 @@ def search(
     # What a model without the right physics cannot predict may be what is looked for.
     problem = contact_masking.without_contact_mask(polished)
     best = local_optima.refit(problem.at(local_optima.judging_process_noise(problem, fine)), first, fine.values)
-    candidates = screening.testable_candidates(problem, candidates)
-    friction = _friction_for_dead_band(problem, best, candidates)
-    own, first = first, first.without("dead_band").with_("coulomb_friction") if friction else first
-    best = friction or best
+    candidates = screening.testable_candidates(problem, candidates, first)
+    ground = first
+    if friction := _friction_for_dead_band(problem, best, candidates):
+        best, ground = friction, first.without("dead_band").with_("coulomb_friction")
+    toothed, (problem, best) = problem, _without_idle_gap(problem, best)
+    if "backlash" not in best.structure:
+        ground = ground.without("backlash", "tooth_compliance")
     events.announce(events.Reached(problem, best))
-    found = _search_from(problem, best, (), first, candidates, tell)
+    found = _search_from(problem, best, (), ground, candidates, tell)
     for this in _narrow_rounds(problem, found, best.process_noise):
         tell(f"beginning anew with {EFFECTS[this.rivals[0].added[0]].title}", 0.7)
         start = _plain_winner(problem, this)
         with events.observing(None):
             other = _search_from(
-                problem, start, (_with_better_fit(this, start),), first, candidates, lambda said, share: None
+                problem, start, (_with_better_fit(this, start),), ground, candidates, lambda said, share: None
             )
         found = _better_search(problem, found, other)
         if found.last is other.last:
             break
+    if "backlash" in first and "backlash" not in found.last.structure:
+        gap = _gap_after_all(toothed, found.last)
+        if gap is not None:
+            problem, ground = toothed, ground.with_("backlash")
+            found = _search_from(problem, gap, found.rounds, ground, candidates, tell)
     best, rounds = _without_unmet_stops(problem, found.last), found.rounds
-    wider = _containing_alternatives(problem, best, first, candidates, rounds)
+    wider = _containing_alternatives(problem, best, ground, candidates, rounds)
     best, swaps = _prefer_containing(problem, best, found.alternatives, wider)
     swaps = [*swaps, *_offset_for_dead_bands(problem, best, candidates)]
-    if friction:
-        begun = local_optima.refit(problem.at(best.process_noise), own, fine.values)
-        swaps += _dead_band_for_friction(problem, best, begun)
+    if ground != first:
+        begun = local_optima.refit(problem.at(best.process_noise), first, fine.values)
         found = replace(found, first=begun, smaller_models=(*found.smaller_models, begun))
+    if friction:
+        swaps += _dead_band_for_friction(problem, best, begun)
     tell("looking closer", 0.8)
     events.announce(events.Reached(problem, best))
     return refine_with_short_memory(replace(found, last=best, alternatives=tuple(swaps)), candidates)
+
+
+def _without_idle_gap(problem: FitProblem, first: Fit) -> tuple[FitProblem, Fit]:
+    """The problem and the first model, both without a gap where a rigid drive is more likely.
+
+    A model with a gap has two inertias and teeth, and no gap of nothing makes it rigid. Where there is none, these
+    follow other physics that is missing. A gap that is known stays.
+    """
+    if "backlash" not in first.structure or any(n in problem.held for n in ("backlash_gap", "motor_share")):
+        return problem, first
+    rigid = local_optima.refit(
+        problem.at(first.process_noise), first.structure.without("backlash", "tooth_compliance"), first.values
+    )
+    if model_comparison.criterion_difference(rigid, first) <= 0.0:
+        return problem, first
+    # Motor and link that are one do not rattle.
+    unmasked = problem.on([replace(c, rattle_mask=None, start_mask=None) for c in problem.recordings])
+    return unmasked, local_optima.refit(unmasked.at(first.process_noise), rigid.structure, rigid.values)
+
+
+def _gap_after_all(toothed: FitProblem, last: Fit) -> Fit | None:
+    """The last model of a search without a gap, with one, where that improves the fit significantly now that less is
+    missing. `toothed` is the problem as it was with a gap.
+    """
+    same = toothed.at(last.process_noise)
+    rigid = local_optima.refit(same, last.structure, last.values)
+    structure = last.structure.with_("backlash", "tooth_compliance")
+    begun = likelihood.evaluate(
+        same, structure, preparation.complete_values(structure, last.values), same.free(structure)
+    )
+    found = local_optima.restart_gap(same, begun)
+    return found if model_comparison.is_significant(rigid, found) else None
 
 
 def _search_from(
@@ -208,7 +267,7 @@ def _search_from(
     """The search that grows from a model which these rounds led to."""
     rounds, room = list(rounds), thresholds.MAX_EFFECTS - len(rounds)
     for _ in range(thresholds.MAX_REPLACEMENTS):
-        grown, more = _add_effects(problem, best, candidates, tell, room)
+        grown, more = _add_effects(problem, best, first, candidates, tell, room)
         rounds += more
         # What the last model is compared with is judged at the same noise.
         start = rounds[0].before if rounds else grown
@@ -505,12 +564,14 @@ def _dead_band_for_friction(problem: FitProblem, last: Fit, first: Fit) -> list[
     """The last model with the first one's dead-band in the place of dry friction; none where another effect needs that
     friction.
     """
-    if any("coulomb_friction" in e.includes for e in last.structure.effects) or last.structure == first.structure:
+    dry = [i for i in ("coulomb_friction", "presliding_friction") if i in last.structure]
+    needed = any("coulomb_friction" in e.includes for e in last.structure.effects)
+    if len(dry) != 1 or needed or last.structure == first.structure:
         return []
-    structure = last.structure.without("coulomb_friction").with_("dead_band")
+    structure = last.structure.without(*dry).with_("dead_band")
     starts = [{**first.values, **last.values}, {**last.values, **first.values}]
     found = local_optima.best_refit(problem.at(last.process_noise), structure, starts)
-    return [Alternative("coulomb_friction", "dead_band", found)]
+    return [Alternative(dry[0], "dead_band", found)]
 
 
 def _with_better_fit(this: Round, found: Fit) -> Round:
@@ -582,7 +643,9 @@ def _add_with_usual_memory(
     """
     settled = local_optima.refit(found.problem.at(found.last.process_noise), best.structure, best.values)
     usual = _restart(found.problem, settled)
-    grown, rounds = _add_effects(found.problem, usual, candidates, lambda sentence, share: None, most)
+    grown, rounds = _add_effects(
+        found.problem, usual, found.first.structure, candidates, lambda sentence, share: None, most
+    )
     won = [this for this in rounds if this.won]
     return (*_fit_at_best_noise(found.problem, grown), won) if won else (problem, best, [])
 

@@ -215,21 +215,20 @@ def trial_grids(
                 }
             )
     out["end_stop"] = stops
-    if "backlash" in structure:
-        lever = longest.recording.lever
-        # Ringing is told by its frequency, which no gradient finds from afar, and changes what the gap looked like.
-        out["joint_elasticity"] = [
-            {
-                "joint_frequency": f,
-                "joint_damping": 0.15,
-                "motor_share": share,
-                "backlash_gap": gap,
-                "friction_share": 0.7,
-            }
-            for f in _joint_frequencies(missing.step, end)
-            for share in (0.15, 0.3, 0.45)
-            for gap in (0.015 * lever, 0.04 * lever)
-        ]
+    lever = longest.recording.lever
+    # Ringing is told by its frequency, which no gradient finds from afar, and changes what the gap looked like.
+    out["joint_elasticity"] = [
+        {
+            "joint_frequency": f,
+            "joint_damping": 0.15,
+            "motor_share": share,
+            "backlash_gap": gap,
+            "friction_share": 0.7,
+        }
+        for f in _joint_frequencies(missing.step, end)
+        for share in (0.15, 0.3, 0.45)
+        for gap in (0.015 * lever, 0.04 * lever)
+    ]
     return {effect: with_gap_sides(rows, structure, values, effect) for effect, rows in out.items()}
 
 
@@ -263,10 +262,11 @@ _MIN_TRAVEL = {"encoder_eccentricity": 0.5 * math.pi, "position_dependent_fricti
 _MOMENTARY = ("load_change", "periodic_disturbance", "disturbance_pulse")
 
 
-def testable_candidates(problem: FitProblem, candidates: Sequence[str]) -> list[str]:
-    """The candidates that recordings of this kind can show.
+def testable_candidates(problem: FitProblem, candidates: Sequence[str], structure: Structure) -> list[str]:
+    """The candidates that recordings of this kind can show beside the first model.
 
-    Several recordings of speed begin at unknown angles. So no law over the position can be fitted to all.
+    Several recordings of speed begin at unknown angles. So no law over the position can be fitted to all. Dry friction
+    that gives would take the place of the dry friction that the user knows.
     """
     first = problem.recordings[0].recording
     readings = [c.drive.measured for c in problem.recordings]
@@ -282,6 +282,8 @@ def testable_candidates(problem: FitProblem, candidates: Sequence[str]) -> list[
         out.update(e for e in candidates if EFFECTS[e].slot == "sensor")
     if first.is_speed and len(problem.recordings) > 1:
         out.update(e for e in candidates if "position" in EFFECTS[e].depends_on)
+    if any(e.slot == "grip" for e in structure.effects):
+        out.add("presliding_friction")
     return [e for e in candidates if e not in out]
 
 
