@@ -56,7 +56,7 @@ def test_gravity_is_found_and_a_gap_only_where_there_is_one(geared: bool) -> Non
 
 
 def test_what_a_law_may_leave_is_its_error_squared_of_what_it_took() -> None:
-    """From v0 to v1, a law that errs by s leaves s^2 (v0 - v1) of variance: of n innovations the deviance n log of it."""
+    """A law that errs by s leaves s^2 (v0 - v1) of the variance that it took from v0 to v1."""
     nothing = np.eye(0)
 
     def fitted(count: int, variance: float) -> fit.Fit:

@@ -22,6 +22,7 @@ from twin.diagnosis import (
     experiment_design,
     forward_selection,
     handed_out,
+    held_sensor,
     holdout,
     law_tolerance,
     model_comparison,
@@ -554,7 +555,7 @@ def diagnose(
         for role in ("train", "holdout")
     }
     lap("held-out check through FMPy")
-    findings = _findings(found, after, first)
+    findings = (*_findings(found, after, first), *held_sensor.finding(recordings))
     tell("designing the next experiment", 0.95)
     designed = _next_experiment(found)
     lap("next experiment")
