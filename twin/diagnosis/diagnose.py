@@ -19,6 +19,7 @@ from twin.diagnosis import (
     cross_validation,
     curve_substitution,
     data_split,
+    events,
     experiment_design,
     forward_selection,
     handed_out,
@@ -468,8 +469,29 @@ def diagnose(
 ) -> Diagnosis:
     """Locate, name, model and show what a first model of these recordings leaves out. Raises BadInput.
 
-    Fits and choices use the recorded input; `closed` shows the free runs under the rig's own loop.
+    Fits and choices use the recorded input; `closed` shows the free runs under the rig's own loop. Where one of several
+    recordings carries most of the misfit, the rest is diagnosed without it, too.
     """
+    found = _diagnosed(recordings, first, held, candidates, progress, closed)
+    odd = suspect.odd_one_out(found.adequacy)
+    if odd is None:
+        return found
+    if progress:
+        progress("asking again without the recording that carries most of the misfit", 0.97)
+    with events.observing(None):
+        other = _diagnosed(suspect.without(recordings, odd), first, held, candidates, None, closed)
+    return replace(found, remarks=(*found.remarks, suspect.sentence(found, odd, other)))
+
+
+def _diagnosed(
+    recordings: Sequence[Recording],
+    first: Structure,
+    held: Mapping[str, float] | None,
+    candidates: Sequence[str],
+    progress: Progress | None,
+    closed: bool,
+) -> Diagnosis:
+    """The diagnosis of recordings of which none is odd."""
     held = dict(held or {})
     tell = progress or (lambda sentence, share: None)
     for recording in recordings if closed else ():
@@ -538,7 +560,6 @@ def diagnose(
         failed = [*failed, *claims.vetoed_names(figures, last_point.structure, first)]
         found, after, last_point, left[1] = _back_to_first(found), before, first_point, left[0]
         figures = adequacy.unchanged(figures)
-    said += suspect.sentences(figures, recordings[0].output_unit)
     lap("adequacy")
     missing = [residual_torque.missing_torque(case, p.structure, p.values) for p in (first_point, last_point)]
     shapes = [tuple(residual_torque.torque_shapes(m)) for m in missing]
