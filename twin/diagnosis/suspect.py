@@ -52,11 +52,11 @@ def sentence(found: Diagnosis, odd: int, other: Diagnosis) -> str:
     name, unit = to_fit(found.recordings)[odd].name, found.recordings[0].output_unit
     errors = [c.after.rmse for role, _, c in found.adequacy.recordings if role == "train"]
     own = errors.pop(odd)
-    effects = [f"{f.id} ({percent(f.probability)})" for f in other.findings]
-    train = other.fit["train"]["after"].rmse
+    effects = ", ".join(f"{f.id} ({percent(f.probability)})" for f in other.findings) or "no effect"
+    says = f"the verdict is {other.verdict.replace('_', ' ')}, with {effects}, and the free run errs"
     return (
         f"{name} carries most of the misfit: the free run errs {number(own)} {unit} in it and "
-        f"{number(statistics.median(errors))} {unit} in the median of the other {len(errors)} recordings. "
-        f"Without it the verdict is {other.verdict.replace('_', ' ')}, with {', '.join(effects) or 'no effect'}, and the free run errs "
-        f"{number(train)} {unit}. What only the first answer names comes from {name} alone: check that recording."
+        f"{number(statistics.median(errors))} {unit} in the median of the other {len(errors)} recordings. Without it "
+        f"{says} {number(other.fit['train']['after'].rmse)} {unit}. What only the first answer names comes from {name} "
+        "alone: check that recording."
     )
