@@ -1,4 +1,4 @@
-"""What the tool says about four real data sets when it starts from a plain model.
+"""What the tool says about real data sets when it starts from a plain model.
 
     python scripts/real_recordings.py DATA_DIR [--set NAME] [--quick] [--markdown]
 
@@ -78,6 +78,14 @@ def _radians(recordings: Recordings, errors: Errors) -> Figures:
     }
 
 
+def _speeds(recordings: Recordings, errors: Errors) -> Figures:
+    return {"RMSE, rad/s": _rms([e for _, e in errors])}
+
+
+def _kv(model: Model | Fit) -> Figures:
+    return {"kV = b/c, V/(rad/s)": model.values["viscous_friction"] / model.values["input_gain"]}
+
+
 def _emps_numbers(model: Model | Fit) -> Figures:
     """Mass and forces from accelerations, by the published drive gain of 35.1507 N/V."""
     mass = 35.1507 / model.values["input_gain"]
@@ -153,6 +161,7 @@ class Set:
     more: tuple[str, ...] = ()
     numbers: Callable[[Any], Figures] = _nothing
     floor: Callable[[Recordings, Model], str] = _no_floor
+    role: Callable[[recording.Recording], str] = lambda one: one.role
     closed: str = ""  # published figures from the reference under the rig's own loop; empty: not looked at
 
 
@@ -207,6 +216,35 @@ SETS: Mapping[str, Set] = {
         "RMSE (MAE) 498 (258) mrad linear, 249 (116) + Coulomb, offset, torque gain, 88 (45) + load-dependent",
         lambda rows: list(rows),
     ),
+    "frc_roller": Set(
+        lambda data: [{"file": data / "frc_roller" / "spu_data.json", "role": "train"}],
+        "frc_roller", (), _radians,
+        "a sensor that is read every 20 ms; dry friction or dead-band",
+        "RMSE 447 mrad (dry friction), 460 (two dead-bands), 975 with the published values; published kV 0.17836",
+        lambda rows: list(rows),
+        numbers=_kv,
+        role=lambda one: "holdout" if one.name.endswith("fast-backward") else "train",
+    ),
+    "ev3": Set(
+        lambda data: [
+            {"file": file, "role": "holdout" if file.stem in ("data60", "data-80") else "train"}
+            for file in sorted((data / "ev3_motor").glob("data*.csv"))
+        ],
+        "ev3", ("backlash",), _radians,
+        "data20 is faulty: its position stands still; nothing is missing in the rest, or dry friction",
+        "RMSE 117 mrad with dead-band, all files; without data20 81.3, dry friction 79.7",
+        lambda rows: list(rows),
+    ),
+    "n20": Set(
+        lambda data: [
+            {"file": data / "n20_aprbs" / "aprbsResult.mat", "role": role, "start": start, "end": end}
+            for role, start, end in (("train", 0.0, 67.2), ("holdout", 67.2, 96.0))
+        ],
+        "n20", ("backlash",), _speeds,
+        "a dead-band, or dry friction",
+        "RMSE 23.7 rad/s linear, 21.9 + dead-band, 21.9 output-error; rounding alone 6.5",
+        lambda rows: list(rows),
+    ),
 }  # fmt: skip
 
 
@@ -221,7 +259,8 @@ def recordings_of(name: str, data: Path, quick: bool) -> tuple[list[recording.Re
         manifest = Path(folder) / f"{name}.csv"
         rows = chosen.rows(data)
         manifests.write(manifest, chosen.quick(rows) if quick else rows)
-        return recording.load([manifest], RIGS / f"{chosen.rig}.toml")
+        recordings, rig = recording.load([manifest], RIGS / f"{chosen.rig}.toml")
+    return [replace(r, role=chosen.role(r)) for r in recordings], rig
 
 
 @dataclass(frozen=True)

@@ -44,9 +44,11 @@ def is_off(run: FreeRun, span: float) -> bool:
 
 
 def is_worse(compared: Comparison) -> bool:
-    """Whether the last model errs more than the first, and more than its own noise makes: within that, chance rules."""
-    after = compared.after
-    return after.rmse > LARGER * compared.before.rmse and not after.rmse <= after.expected
+    """Whether the last model errs more than the first, and more than the noise of either makes: within that, chance
+    rules. A model whose parameters nothing fixes expects any error.
+    """
+    before, after = compared.before, compared.after
+    return after.rmse > LARGER * before.rmse and not after.rmse <= min(before.expected, after.expected)
 
 
 def vetoed(figures: Adequacy) -> bool:
