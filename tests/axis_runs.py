@@ -29,6 +29,7 @@ SANE: dict[str, tuple[float, float]] = {
     "friction_share": (0.3, 0.9),
     "dry_share": (0.1, 0.9),
     "shaft_share": (0.1, 0.9),
+    "refresh": (0.01, 0.04),
     "own_inertia": (0.008, 0.02),
     "coulomb_friction": (0.6, 4.0),
     "stribeck_friction": (0.3, 2.0),

@@ -93,6 +93,7 @@ SYMBOLS: dict[str, str] = {
     "fade_emf": r"\rho_{h}",
     "fade_time": "T_{h}",
     "fade_reference": "u_{h}",
+    "refresh": "T_{s}",
     "presliding_friction": "F_{z}",
     "presliding_travel": "d_{z}",
     "flexible_load_share": r"\mu_{r}",

@@ -23,10 +23,7 @@ def finding(recordings: Sequence[Recording]) -> tuple[Finding, ...]:
     if not held:
         return ()
     page, refresh = EFFECTS["sensor_hold"], sorted(held)[len(held) // 2]
-    says = (
-        f"The sensor is read anew only every {1e3 * refresh:.3g} ms, while a row is logged more often. The rows that "
-        "repeat a reading are left out of the fit."
-    )
+    says = page.sentence.format(refresh=f"{1e3 * refresh:.3g} ms")
     estimate = Estimate(refresh, math.nan, "s")
     certain = 1.0 - thresholds.PROB_NONE_OF_THESE
     return (Finding(page.id, page.station, certain, says, page.equation or "", {"refresh": estimate}),)

@@ -7,17 +7,20 @@ every fit. How late a reading is cannot be told from a dead time, which `input_d
 from __future__ import annotations
 
 from twin.effects.effect import Effect
+from twin.effects.parameter import Parameter
 
 EFFECT = Effect(
     id="sensor_hold",
     title="sensor that is read more slowly than the log",
     station="sensor",
     slot="structure",
-    parameters=(),
+    parameters=(
+        Parameter("refresh", "s", "from one new reading to the next", None, 1e-6, start=0.02, estimated=False),
+    ),
     law=None,
     depends_on=("time",),
     promises=frozenset({"odd"}),
-    sentence="The sensor is read anew only every so often: the rows between repeat its last reading.",
+    sentence="The sensor is read anew only every {refresh}: the rows between are repeats and not fitted.",
     reference="Franklin, Powell, Workman, Digital Control of Dynamic Systems, 1998, ch. 3 (sample and hold)",
     confused_with={
         "input_delay": "log the sensor on its own bus with its own stamps: a hold repeats readings, a delay does not",
