@@ -37,6 +37,8 @@ _VOLTS = 30.0
 _TICKS = (255, 1000, 1023, 4095, 10_000, 32_767, 65_535)  # at full drive of common timers
 #: So many columns of a table are looked at, and so many tables of a set.
 _LOOKED_AT, _TABLES = 40, 12
+#: So many names are searched for telling ones.
+_NAMES = 2000
 #: A reading is a speed whose steps the input explains to this share, and that dies away by so many standard errors,
 #: seen on a grid of so many rows. Of made axes with time constants from 0.02 to 2 s, positions reach 4 and speeds 12.
 _MIN_SHARE, _SURE, _ROWS = 0.8, 10.0, 10.0
@@ -141,7 +143,8 @@ def numeric_columns(*tables: Table) -> dict[str, FloatArray]:
     Of many columns those are looked at whose names say something, and the first of the others.
     """
     words = (*_TIME, *_INPUT, *_POSITION, *_SPEED, *_DIRECTION, *_SUPPLY)
-    telling = [n for n in tables[0].names if _pick([n], words)] if len(tables[0].names) > _LOOKED_AT else []
+    many = tables[0].names[:_NAMES] if len(tables[0].names) > _LOOKED_AT else ()
+    telling = [n for n in many if _pick([n], words)]
     names = list(dict.fromkeys([*telling, *tables[0].names]))[:_LOOKED_AT]
     alike = [t for t in tables[:_TABLES] if set(names) <= set(t.names)]
     order = {name: k for k, name in enumerate(tables[0].names)}
@@ -162,9 +165,10 @@ def _numbers(tables: Sequence[Table], names: Sequence[str]) -> dict[str, FloatAr
 def _pick(names: Iterable[str], words: Sequence[str], without: Sequence[str] = ()) -> str | None:
     """The first name that is, begins with or holds one of the words; a short word has to be the whole name."""
     whole = {name: "".join(c for c in name.lower() if c.isalnum()) for name in names}
+    bases = {name: split_unit(name)[0] for name in whole}
 
     def says(name: str, word: str) -> bool:
-        return split_unit(name)[0] == word or (len(word) > 2 and word in whole[name])
+        return bases[name] == word or (len(word) > 2 and word in whole[name])
 
     allowed = [n for n in whole if not any(says(n, w) for w in without)]
     return next((n for word in words for n in allowed if says(n, word)), None)
@@ -185,7 +189,7 @@ def guess(*tables: Table) -> Guess:
     """
     table, unsure = tables[0], list[str]()
     columns = numeric_columns(*tables)
-    time = _time_section(table, columns, unsure)
+    time = _time_section(table, columns if len(tables) == 1 else _numbers([table], list(columns)), unsure)
     left = [n for n in columns if n != time.keys.get("column") and np.nanmax(columns[n]) > np.nanmin(columns[n])]
     names = _by_values(tables, columns, left, time, unsure) if table.names[0] == "1" else _by_names(left)
     if names.drive is None or names.reading is None:
@@ -325,7 +329,7 @@ def _unit(name: str, table: Table, units: Mapping[str, object]) -> str | None:
 
 def _time_section(table: Table, columns: Mapping[str, FloatArray], unsure: list[str]) -> Section:
     """The clock: by its name, else the stamps of the format, else the column that only rises, else a guess."""
-    rising = [n for n, values in _numbers([table], list(columns)).items() if _rises(values)]
+    rising = [n for n, values in columns.items() if _rises(values)]
     name = _pick(rising, _TIME)
     if name is None and table.clock is not None:
         return Section()
@@ -335,8 +339,7 @@ def _time_section(table: Table, columns: Mapping[str, FloatArray], unsure: list[
     if name is None:
         unsure.append("no column looks like time: sample_time is a guess; write the true one")
         return Section({"sample_time": 0.001}, {"sample_time": "s; NOT KNOWN, a guess"})
-    (stamps,) = table.columns([name])
-    stamps = stamps[np.isfinite(stamps)]
+    stamps = columns[name][np.isfinite(columns[name])]
     # of stamps that come in bursts the median says nothing
     step = max(float(np.median(np.diff(stamps))), 0.5 * float(np.ptp(stamps)) / max(stamps.size, 1))
     written = _unit(name, table, TIME_UNITS) or next(
