@@ -35,6 +35,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from concealed import Concealed, visibility
 from excitations import EXCITATIONS, FREE
 from simulators import SIMULATORS
+from worn_rig import DEPARTS
 
 from twin.diagnosis import diagnose
 from twin.effects.catalogue import BASE, CANDIDATES
@@ -82,6 +83,11 @@ class Label:
     def names(self) -> tuple[str, ...]:
         """Ids that a right answer consists of: effects that another one brings along are not named beside it."""
         return () if self.kind == "outside" else Structure.of((*BASE, *(e.id for e in self.effects))).named
+
+    @property
+    def departures(self) -> set[str]:
+        """Ids of what the rig has beside the concealed effects: to name one is right, and so is not to name it."""
+        return {name.removeprefix(DEPARTS) for name in self.rig if name.startswith(DEPARTS)} - set(self.names)
 
     @property
     def visibility(self) -> float:
@@ -136,11 +142,15 @@ class Outcome:
 
     @property
     def first_right(self) -> bool:
-        return self.answer.first in (self.label.names or (UNKNOWN if self.label.kind == "outside" else NOTHING,))
+        first = next((i for i, _ in self.answer.findings if i not in self.label.departures), "")
+        if not first and not self.label.names and self.label.kind != "outside":
+            return self.answer.verdict != FAILED and (bool(self.label.departures) or self.answer.first == NOTHING)
+        wanted = self.label.names or (UNKNOWN if self.label.kind == "outside" else NOTHING,)
+        return (first or self.answer.first) in wanted
 
     @property
     def exact(self) -> bool:
-        return self.first_right and self.answer.names == set(self.label.names)
+        return self.first_right and self.answer.names - self.label.departures == set(self.label.names)
 
     @property
     def doubted(self) -> bool:
@@ -354,7 +364,8 @@ def share(of: Sequence[bool]) -> str:
 
 def claims(outcomes: Iterable[Outcome]) -> list[tuple[float, bool]]:
     """Every name that the tool gave: its probability, and whether the effect was there."""
-    return [(p, i in o.label.names) for o in outcomes for i, p in o.answer.findings]
+    there = ((o, {*o.label.names, *o.label.departures}) for o in outcomes)
+    return [(p, i in ids) for o, ids in there for i, p in o.answer.findings]
 
 
 def reliability(given: Sequence[tuple[float, bool]], bins: int = 10) -> list[tuple[int, float, float]]:
@@ -440,6 +451,12 @@ def summary(outcomes: Sequence[Outcome]) -> str:
         lines.append(f"{'  all named, or said not to be told apart':48} {told} of the {len(missed)} not exact")
     lines.append("  (of what the true structure achieves when the tool fits it; its own fit where its set is exact)")
     lines.append(f"{'seconds a trial, median':48} {_median((o.answer.seconds for o in outcomes), 1.0, ' s')}")
+    worn = [o for o in outcomes if o.label.departures]
+    if worn:
+        wholly = [o.answer.verdict in ("explained", "nothing_missing") for o in worn]
+        lines.append(f"{'rigs with departures, said to be explained or whole':48} {share(wholly)}")
+        sure = [right for p, right in claims(worn) if p >= 0.9]
+        lines.append(f"{'  names given with 0.9 or more that are right':48} {share(sure)}")
     failed = sorted((o for o in outcomes if o.answer.verdict == FAILED), key=lambda o: o.label.trial)
     lines += [f"failed: trial {o.label.trial}: {o.answer.says}" for o in failed]
     for title, rows in (

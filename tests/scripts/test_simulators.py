@@ -20,7 +20,13 @@ from simulators import SIMULATORS
 from twin.effects.catalogue import CANDIDATES
 
 DURATION = 12.0
-EACH = [(name, effect) for name, module in SIMULATORS.items() for effect in (*module.VOCABULARY, *module.OUTSIDE)]
+#: Each simulator with each of its effects; the worn rigs have those of another.
+EACH = [
+    (name, effect)
+    for name, module in SIMULATORS.items()
+    for effect in (*module.VOCABULARY, *module.OUTSIDE)
+    if name != "worn"
+]
 #: The simulators whose runs are quick enough for longer ones, of which more is asked.
 QUICK = ("gearmotor", "textbook")
 every = pytest.mark.parametrize("module", SIMULATORS.values(), ids=SIMULATORS)
@@ -121,3 +127,27 @@ def test_without_the_extra_the_rigs_in_mujoco_say_its_name(monkeypatch) -> None:
     monkeypatch.delitem(sys.modules, "mujoco_rig")
     with pytest.raises(SystemExit, match="need the extra mujoco"):
         importlib.import_module("mujoco_rig")
+
+
+def test_worn_rigs_have_three_small_departures_that_move_them() -> None:
+    """Without them they are rigs of the simulator that they come from."""
+    module, plain = SIMULATORS["worn"], SIMULATORS["gearmotor"]
+    rng = np.random.default_rng(4)
+    rig = module.draw_rig(rng)
+    sizes = [size for name, size in rig.truths().items() if name.startswith(module.DEPARTS)]
+    assert len(sizes) == 3 and all(0.02 <= size <= 0.05 for size in sizes)
+    time, duty = EXCITATIONS["rich"](8.0, rng, FREE)
+    worn, without = module.simulate(rig, [], time, duty, 5), plain.simulate(rig, [], time, duty, 5)
+    assert np.array_equal(module.simulate(rig.with_(departures=()), [], time, duty, 5).counts, without.counts)
+    assert np.ptp(worn.counts - without.counts) > 10
+
+
+def test_a_departure_of_the_kind_of_a_concealed_effect_leaves_its_place() -> None:
+    module = SIMULATORS["worn"]
+    rng = np.random.default_rng(4)
+    rig = module.draw_rig(rng)
+    time, duty = EXCITATIONS["rich"](4.0, rng, FREE)
+    same = module.draw_effect(rng, rig.departures[0].effect.id, rig, 0.1)
+    others = rig.with_(departures=rig.departures[1:])
+    one, other = (module.simulate(r, [same], time, duty, 5) for r in (rig, others))
+    assert np.array_equal(one.counts, other.counts)
