@@ -30,7 +30,6 @@ from twin.model import sensor
 from twin.model.fitted_model import INPUT_NAMES, Model, dumps, loads
 from twin.model.stepper import KNOWN
 from twin.model.variables import OUTPUTS, ROUND, delay_capacity, parameters_text, variables
-from twin.simulation import kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -276,6 +275,8 @@ def start_of(recording: Recording, model: Model | None = None) -> tuple[float, f
 
 def _velocity_by_model(recording: Recording, model: Model, read: NDArray[np.intp]) -> float:
     """The velocity at the first stamp from which a free run of the model meets these readings best."""
+    from twin.simulation import kernel  # most uses of an FMU need no compiled kernel, whose import takes seconds
+
     upto = slice(0, int(read[-1]) + 1)
     drive = kernel.Drive(
         recording.time[upto], command_of(recording)[upto], np.full(upto.stop, np.nan), recording.is_speed,
