@@ -80,6 +80,7 @@ class Fit:
         return np.asarray(np.diag(plain @ self.scatter @ plain) / np.diag(plain))
 
     @cached_property
+    @numerics.ignore_overflow()
     def visible(self) -> NDArray[np.bool_]:
         """Which free parameters (n,) leave a trace: to move one by its own size, or by one, would not go unseen."""
         sizes = np.array([max(abs(self.values.get(n, 0.0)), 1.0) for n in self.free])
