@@ -25,7 +25,6 @@ from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.effects.end_stop import NOWHERE
 from twin.estimation import (
     contact_masking,
-    likelihood,
     local_optima,
     multistart,
     optimizer,
@@ -195,9 +194,6 @@ def search(
     ground = first
     if friction := _friction_for_dead_band(problem, best, candidates):
         best, ground = friction, first.without("dead_band").with_("coulomb_friction")
-    toothed, (problem, best) = problem, _without_idle_gap(problem, best)
-    if "backlash" not in best.structure:
-        ground = ground.without("backlash", "tooth_compliance")
     events.announce(events.Reached(problem, best))
     found = _search_from(problem, best, (), ground, candidates, tell)
     for this in _narrow_rounds(problem, found, best.process_noise):
@@ -210,11 +206,10 @@ def search(
         found = _better_search(problem, found, other)
         if found.last is other.last:
             break
-    if "backlash" in first and "backlash" not in found.last.structure:
-        gap = _gap_after_all(toothed, found.last)
-        if gap is not None:
-            problem, ground = toothed, ground.with_("backlash")
-            found = _search_from(problem, gap, found.rounds, ground, candidates, tell)
+    rigid = _without_idle_gap(found)
+    if rigid is not None:
+        problem, ground = rigid[0], ground.without("backlash", "tooth_compliance")
+        found = _search_from(*rigid, found.rounds, ground, candidates, tell)
     best, rounds = _without_unmet_stops(problem, found.last), found.rounds
     wider = _containing_alternatives(problem, best, ground, candidates, rounds)
     best, swaps = _prefer_containing(problem, best, found.alternatives, wider)
@@ -229,36 +224,24 @@ def search(
     return refine_with_short_memory(replace(found, last=best, alternatives=tuple(swaps)), candidates)
 
 
-def _without_idle_gap(problem: FitProblem, first: Fit) -> tuple[FitProblem, Fit]:
-    """The problem and the first model, both without a gap where a rigid drive is more likely.
+def _without_idle_gap(found: SearchResult) -> tuple[FitProblem, Fit] | None:
+    """The problem and the last model of a search, both without a gap, where a rigid drive is more likely; else None.
 
     A model with a gap has two inertias and teeth, and no gap of nothing makes it rigid. Where there is none, these
-    follow other physics that is missing. A gap that is known stays.
+    follow what else is missing. It is asked at the end only: a model that lacks much may be likelier without a gap that
+    is there. A gap that is known stays, and so does one that another effect needs.
     """
-    if "backlash" not in first.structure or any(n in problem.held for n in ("backlash_gap", "motor_share")):
-        return problem, first
-    rigid = local_optima.refit(
-        problem.at(first.process_noise), first.structure.without("backlash", "tooth_compliance"), first.values
-    )
-    if model_comparison.criterion_difference(rigid, first) <= 0.0:
-        return problem, first
+    last, problem = found.last, found.problem
+    structure = last.structure.without("backlash", "tooth_compliance")
+    known = any(n in problem.held for n in ("backlash_gap", "motor_share"))
+    if known or "backlash" in structure or "backlash" not in last.structure:
+        return None
+    rigid = local_optima.refit(problem.at(last.process_noise), structure, last.values)
+    if model_comparison.criterion_difference(rigid, last) <= 0.0:
+        return None
     # Motor and link that are one do not rattle.
     unmasked = problem.on([replace(c, rattle_mask=None, start_mask=None) for c in problem.recordings])
-    return unmasked, local_optima.refit(unmasked.at(first.process_noise), rigid.structure, rigid.values)
-
-
-def _gap_after_all(toothed: FitProblem, last: Fit) -> Fit | None:
-    """The last model of a search without a gap, with one, where that improves the fit significantly now that less is
-    missing. `toothed` is the problem as it was with a gap.
-    """
-    same = toothed.at(last.process_noise)
-    rigid = local_optima.refit(same, last.structure, last.values)
-    structure = last.structure.with_("backlash", "tooth_compliance")
-    begun = likelihood.evaluate(
-        same, structure, preparation.complete_values(structure, last.values), same.free(structure)
-    )
-    found = local_optima.restart_gap(same, begun)
-    return found if model_comparison.is_significant(rigid, found) else None
+    return unmasked, local_optima.refit(unmasked.at(last.process_noise), structure, rigid.values)
 
 
 def _search_from(
