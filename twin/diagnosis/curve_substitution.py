@@ -125,10 +125,9 @@ def substitute_curve(problem: FitProblem, first: Structure, last: Fit, variable:
         return None
     curve = _fit_curve_instead(problem, last, ids, variable)
     departs = _departure(problem, last, curve, ids, variable) >= thresholds.LAW_TOLERANCE
-    doubt = law_tolerance.doubt(law_tolerance.plain_fit(problem, first, last), last)
     if not (
         departs
-        and model_comparison.is_significant(last, curve, doubt)
+        and model_comparison.is_significant(last, curve, law_tolerance.doubt_since(problem, first, last))
         and selection_round.is_confirmed(problem, last, curve)
         and cross_validation.gain_p_value(problem, last, curve) < thresholds.CURVE_MAX_P_VALUE
     ):

@@ -239,7 +239,7 @@ def _curve_replaces_names(
         and left[0].p_value < thresholds.CERTAIN_DEPENDENCE_P_VALUE
         and model_comparison.gain(found.last, nameless) > 0.0
     )
-    doubt = law_tolerance.doubt(law_tolerance.plain_fit(found.problem, found.first.structure, found.last), found.last)
+    doubt = law_tolerance.doubt_since(found.problem, found.first.structure, found.last)
     earns = model_comparison.is_significant(found.last, nameless, doubt)
     if not (earns or certain):
         return False
@@ -491,7 +491,7 @@ def _diagnosed(
     progress: Progress | None,
     closed: bool,
 ) -> Diagnosis:
-    """The diagnosis of recordings of which none is odd."""
+    """The diagnosis of all these recordings, an odd one among them or not."""
     held = dict(held or {})
     tell = progress or (lambda sentence, share: None)
     for recording in recordings if closed else ():

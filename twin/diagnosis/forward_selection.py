@@ -136,8 +136,8 @@ def _add_effects(
 
 def _is_left_by_laws(problem: FitProblem, first: Structure, this: Round) -> bool:
     """Whether the winner of the round gains no more than the laws of the model before it may leave."""
-    doubt = law_tolerance.doubt(law_tolerance.plain_fit(problem, first, this.before), this.before)
-    return this.before.deviance - this.rivals[0].deviance < doubt
+    gained = this.before.deviance - this.rivals[0].deviance
+    return gained < law_tolerance.doubt_since(problem, first, this.before)
 
 
 def _prune(

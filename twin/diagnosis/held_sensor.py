@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Sequence
 
 from twin.diagnosis import thresholds
@@ -22,7 +23,7 @@ def finding(recordings: Sequence[Recording]) -> tuple[Finding, ...]:
     held = [r.refresh for r in recordings if r.refresh and any(f.kind == "refresh" for f in r.preflight)]
     if not held:
         return ()
-    page, refresh = EFFECTS["sensor_hold"], sorted(held)[len(held) // 2]
+    page, refresh = EFFECTS["sensor_hold"], statistics.median_high(held)
     says = page.sentence.format(refresh=f"{1e3 * refresh:.3g} ms")
     estimate = Estimate(refresh, math.nan, "s")
     certain = 1.0 - thresholds.PROB_NONE_OF_THESE

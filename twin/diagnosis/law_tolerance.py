@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from twin.diagnosis import thresholds
-from twin.estimation import local_optima
+from twin.estimation import local_optima, preparation
 from twin.estimation.fit import Fit
 from twin.estimation.problem import FitProblem
 from twin.model.stepper import Structure
@@ -20,7 +20,7 @@ def plain_fit(problem: FitProblem, first: Structure, like: Fit) -> Fit:
 
     Dry friction follows its law least exactly of all.
     """
-    plain = first.without(*(e.id for e in first.effects if e.slot == "grip"))
+    plain = preparation.with_tooth_compliance(first.without(*(e.id for e in first.effects if e.slot == "grip")))
     return like if plain == like.structure else local_optima.refit(problem.at(like.process_noise), plain, like.values)
 
 
@@ -35,3 +35,8 @@ def doubt(plain: Fit, point: Fit) -> float:
         return 0.0
     ratio = plain.scale / point.scale
     return removed * math.log1p(thresholds.LAW_TOLERANCE**2 * (ratio - 1.0)) / math.log(ratio)
+
+
+def doubt_since(problem: FitProblem, first: Structure, point: Fit) -> float:
+    """The same of all laws of a model beyond the plain first one, which is fitted where the model stands."""
+    return doubt(plain_fit(problem, first, point), point)

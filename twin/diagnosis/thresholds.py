@@ -22,7 +22,8 @@ PROB_NONE_OF_THESE = 0.03
 TEMPERATURE = 7.0
 #: Difference of criteria below which two explanations are undecided: 82 % to 18 %.
 UNDECIDED_MARGIN = 3.0 * TEMPERATURE
-#: Share of its effect by which a law may miss what a machine does. Deviance goes with its square.
+#: Share of its effect by which a law may miss what a machine does. Variance goes with its square
+#: (`law_tolerance`).
 LAW_TOLERANCE = 0.05
 #: Overdispersion where the slopes of all rivals diverge: as large as where a motor rattles without end.
 WORST_OVERDISPERSION = 100.0

@@ -208,7 +208,7 @@ def likeliest(
     _check_judged(point, train)
     tell("leaving local optima", 0.75)
     problem, point = multistart.leave_local_optima(problem, point)
-    if len(searched) == len(train) and all(a is b for a, b in zip(searched, train, strict=True)):
+    if searched == train:
         return problem.holding(held), point
     tell("all readings", 0.8)
     return _on_all(problem, point, train, held)

@@ -44,7 +44,8 @@ def examine(recordings: Sequence[Signals]) -> list[Finding]:
     seen = None if still else response(recordings)
     if seen is not None:
         said = lost_sign(recordings, seen) or unsigned_command(recordings, seen) or opposed(seen)
-        said = said or (unrelated(seen) and (clipped(recordings) or unrelated(seen)))
+        if not said and (nothing := unrelated(seen)):
+            said = clipped(recordings) or nothing
         found = [*said, *found]
     return sorted(found, key=lambda f: f.severity is not Severity.BLOCKS)
 
