@@ -4,14 +4,17 @@
     python scripts/absorbed.py trials.jsonl --json absorbed.jsonl
 
 The study calls an effect visible that changes how an axis travels by three times what noise does. But a supply that
-gives way may be a smaller gain, and a constant torque dead-bands that differ: what a first model takes over leaves no
-error, and nobody can find it in one; and of two the one may keep the axis from where the other would show. So for each
-visible effect the simulator itself is asked for the gain, friction, dead-bands, gap and shares, and the numbers of the
-other effect, with which the rig, without the effect, comes nearest to what it does with it (`concealed.unabsorbed`);
-what is then left, over what noise leaves, is printed, and the study's tables with it. Where
-the answer was not what is there, the simulator is asked, too, how near the rig comes with what was named in its place,
-at any size (`concealed.unanswered`): an answer that leaves as little as noise does is not to be told from the truth by
-how the axis travels. The tool has no part in this. Trials that the second file has already are not computed again.
+gives way may be a smaller gain, and a constant torque dead-bands that differ. What a first model takes over leaves no
+error, and nobody can find it in one. And of two effects one may keep the axis from where the other would show.
+
+So for each visible effect the simulator runs its rig without that effect. All other numbers are chosen anew: gain,
+friction, dead-bands, gap, shares, and those of the other effect. They are those with which the rig comes nearest to
+what it does with the effect (`concealed.unabsorbed`). What is then left is printed, over what noise leaves, and the
+study's tables with it.
+
+Where the answer was not what is there, the simulator is asked, too, how near the rig comes with what was named in its
+place, at any size (`concealed.unanswered`). How an axis travels does not tell the truth from an answer that leaves as
+little as noise does. The tool has no part in this. Trials that the second file has already are not computed again.
 """
 
 from __future__ import annotations

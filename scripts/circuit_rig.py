@@ -1,9 +1,9 @@
 """A second simulator of rigs: the motor as a circuit, three bodies, friction as bristles or as a set-valued law.
 
 It shares nothing with the model in `twin/` nor with the rigs in MuJoCo, which are alike where both are simple. Here the
-back-EMF brakes the motor alone, and heat takes current and torque constant; dry friction has its own shares at motor
-and link and may give before it slides; the supply falls with the current that the bridge draws from it; the motor
-stands anywhere in the gap at the start; noise is the motor's and has a colour.
+back-EMF brakes the motor alone, and heat takes current and torque constant. Dry friction has its own shares at motor
+and link and may give before it slides. The supply falls with the current that the bridge draws from it. The motor
+stands anywhere in the gap at the start. Noise is the motor's and has a colour.
 
 Units: the inertia of motor and link is 1, so torques are in rad/s^2. Duty in percent, angles in rad, time in s. Voltage
 is a share of the supply's, current of what flows when the motor is held at full duty.
@@ -352,8 +352,9 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
     """An effect of the given size, the rest of its parameters at random; size 0 is no effect at all.
 
     `size` is the effect's torque over the drive's at 50 % duty. Where there is no torque to speak of, 0.3 is as large
-    as such an effect gets: lag 60 ms, delay 30 ms, coupling 3 Hz, clipping at 40 %, eccentricity 30 mrad, the load
-    almost doubled or halved, 450 K at stall (and so 20 to 100 in use), a source with 0.3 of the winding's resistance.
+    as such an effect gets. That is a lag of 60 ms, a delay of 30 ms, a coupling of 3 Hz or clipping at 40 %. It is an
+    eccentricity of 30 mrad, or a load almost doubled or halved. It is 450 K at stall (and so 20 to 100 in use), or a
+    source with 0.3 of the winding's resistance.
     """
     draws = _draws(rng, rig, size, duration)
     if id not in draws:

@@ -384,10 +384,11 @@ def _rider(rng: np.random.Generator, inertia: float) -> dict[str, float]:
 def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, duration: float = 60.0) -> Concealed:
     """An effect of that size, all else about it at random.
 
-    The size is its torque over that of the drive at 50 % duty; for effects without a torque 0.3 is a lag of 60 ms, a
-    delay of 30 ms, a coupling of 3 Hz, a clip at 40 % duty, 30 mrad of eccentricity, a link's inertia times or over
-    1.9, 60 K, three tenths of the winding's resistance in the source, a gap 120 mrad wider at the damaged tooth, and a
-    bridge that opens wholly. A stop comes nearer as the size grows. `duration` (s) is of the recording.
+    The size is its torque over that of the drive at 50 % duty. For effects without a torque, a size of 0.3 is a lag of
+    60 ms, a delay of 30 ms, a coupling of 3 Hz or a clip at 40 % duty. It is 30 mrad of eccentricity, a link's inertia
+    times or over 1.9, or 60 K. It is three tenths of the winding's resistance in the source. It is a gap that is 120
+    mrad wider at the damaged tooth, or a bridge that opens wholly. A stop comes nearer as the
+    size grows. `duration` (s) is of the recording.
 
     Raises ValueError for an id that is not known.
     """

@@ -427,8 +427,9 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
     """An effect of the given size, the rest of its parameters at random; size 0 is no effect at all.
 
     `size` is the effect's torque as a fraction of the drive's at 50 % duty. Where there is no torque to speak
-    of, 0.3 is as large as such an effect gets on a real rig and the effect is in proportion: lag 60 ms, delay
-    30 ms, coupling 3 Hz (its compliance is in proportion), clipping at 40 %, eccentricity 30 mrad.
+    of, 0.3 is as large as such an effect gets on a real rig, and the effect is in proportion. That is a lag of
+    60 ms, a delay of 30 ms, a coupling of 3 Hz, clipping at 40 % or an eccentricity of 30 mrad. Of a coupling the
+    compliance is in proportion.
     """
     torque = size * rig.half_torque
     speed = rig.half_speed

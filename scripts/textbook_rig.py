@@ -215,9 +215,11 @@ def draw_rig(rng: np.random.Generator) -> Rig:
 def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, duration: float = 60.0) -> Concealed:
     """An effect of that size, all else about it at random; size 0 is no effect at all.
 
-    The size is its torque over that of the drive at 50 % duty; where it has none, 0.3 is a lag of 60 ms, a delay of 30
-    ms, a coupling of 3 Hz, a clip at 40 % duty, 30 mrad of eccentricity, a load 1.6 times the link's. A stop comes
-    nearer as the size grows. `duration` (s) is of the recording. Raises ValueError for an id that is not known.
+    The size is its torque over that of the drive at 50 % duty. Where it has none, 0.3 is a lag of 60 ms, a delay of 30
+    ms, a coupling of 3 Hz or a clip at 40 % duty. It is 30 mrad of eccentricity, or a load that is
+    1.6 times the link's. A stop comes nearer as the size grows. `duration` (s) is of the recording.
+
+    Raises ValueError for an id that is not known.
     """
     torque, speed = size * rig.half_torque, rig.half_speed
     reach, turn, sign = min(0.5 * speed, math.pi), float(rng.uniform(-math.pi, math.pi)), float(rng.choice([-1.0, 1.0]))

@@ -107,8 +107,8 @@ def test_in_fmpy_with_euler(axis: tuple[Model, Path], duty: np.ndarray) -> None:
 def fixed_step(fmu: Path, folder: Path, duty: np.ndarray, parts: int) -> np.ndarray:
     """Positions at the stamps by a fixed-step master of the second order that takes the FMU at its word.
 
-    It keeps the states itself and reads them again only where it is told that they have changed; it enters an event
-    where an indicator changes its sign or the end of a step asks for one, and sets the input at the stamps without any.
+    It keeps the states itself and reads them again only where it is told that they have changed. It enters an event
+    where an indicator changes its sign or the end of a step asks for one. It sets the input at the stamps without any.
     """
     described = fmpy.read_model_description(str(fmu))
     fmpy.extract(str(fmu), str(folder))
