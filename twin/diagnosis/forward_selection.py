@@ -197,8 +197,10 @@ def search(
     events.announce(events.Reached(problem, best))
     found = _search_from(problem, best, (), ground, candidates, tell)
     for this in _narrow_rounds(problem, found, best.process_noise):
-        tell(f"beginning anew with {EFFECTS[this.rivals[0].added[0]].title}", 0.7)
         start = _plain_winner(problem, this)
+        if not _leads_elsewhere(problem, found, start, candidates):
+            continue
+        tell(f"beginning anew with {EFFECTS[this.rivals[0].added[0]].title}", 0.7)
         with events.observing(None):
             other = _search_from(
                 problem, start, (_with_better_fit(this, start),), ground, candidates, lambda said, share: None
@@ -288,6 +290,16 @@ def _narrow_rounds(problem: FitProblem, found: SearchResult, process_noise: floa
     close = sorted((h for h in apart if gains[h.added[0]] > least), key=lambda h: -gains[h.added[0]])
     shown = [h for h in close[: thresholds.MAX_RESTARTS] if selection_round.is_confirmed(problem, this.before, h.point)]
     return [replace(this, rivals=(h, *(o for o in this.rivals if o is not h))) for h in shown]
+
+
+def _leads_elsewhere(problem: FitProblem, found: SearchResult, start: Fit, candidates: Sequence[str]) -> bool:
+    """Whether a second effect beside this start, after a few steps, makes a better model than the winner of the first
+    round. The winner itself is no second effect: a rival that needs it has not misled the search.
+    """
+    winner = found.rounds[0].rivals[0]
+    open_ = [c for c in candidates if c not in start.structure and c not in winner.added]
+    seconds = selection_round.screen_candidates(problem, start, open_)
+    return any(model_comparison.criterion_difference(h.point, winner.point) > 0.0 for h in seconds)
 
 
 def _better_search(problem: FitProblem, one: SearchResult, other: SearchResult) -> SearchResult:

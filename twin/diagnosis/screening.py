@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from operator import call
@@ -23,9 +23,9 @@ from twin.diagnosis import residual_torque
 from twin.diagnosis.residual_torque import MissingTorque
 from twin.diagnosis.thresholds import MIN_REPEATS
 from twin.effects.catalogue import CANDIDATES, EFFECTS, pages
+from twin.effects.effect import Recorded, Seen
 from twin.estimation import likelihood, multistart, numerics, optimizer, parameter_bounds, preparation
 from twin.estimation.fit import Fit
-from twin.estimation.prepared_recording import PreparedRecording
 from twin.estimation.problem import FitProblem, free_parameters
 from twin.model import equations
 from twin.model.stepper import Structure
@@ -78,11 +78,7 @@ def _spectral_lines(
 
 
 def _heating_command(missing: MissingTorque, values: Mapping[str, float], span: float) -> float:
-    """The command that heats a held motor as much as the recording does in the mean.
-
-    A motor that turns draws far less current than one that is held. In units of the largest command on a held motor, a
-    fade of a sixth would be larger than any fade may be.
-    """
+    """The command that heats a held motor as much as the recording does in the mean."""
     share, gain = neutral_values("thermal_fade")["fade_emf"], max(values["input_gain"], 1e-9)
     current = missing.command - share * values.get("viscous_friction", 0.0) / gain * missing.velocity
     mean = float(np.sqrt(np.nanmean(np.square(current)))) if np.isfinite(current).any() else span
@@ -134,102 +130,64 @@ def _gain(effect: str) -> str:
     return screen.gain
 
 
-def _page_trials(case: PreparedRecording, missing: MissingTorque, effect: str) -> list[dict[str, float]]:
+def trial_grids(
+    problem: FitProblem, structure: Structure, values: Mapping[str, float], effects: Iterable[str] = CANDIDATES
+) -> dict[str, list[dict[str, float]]]:
+    """For each of these candidates, values of its non-linear parameters that are worth a try on these recordings."""
+    longest = max(problem.recordings, key=lambda c: c.drive.time[-1])
+    missing = residual_torque.missing_torque(longest, structure, values)
+    seen = _seen(problem, longest.recorded, missing, values)
+    return {e: with_gap_sides(_page_trials(missing, seen, e), structure, values, e) for e in effects}
+
+
+def _seen(problem: FitProblem, recorded: Recorded, missing: MissingTorque, values: Mapping[str, float]) -> Seen:
+    """What the pages may know: the range of all recordings, and what a model with these values makes of the longest."""
+    places = np.concatenate([c.positions for c in problem.recordings])
+    speeds = np.abs(missing.velocity[np.isfinite(missing.velocity)])
+    span = float(max(np.max(np.abs(c.recording.input)) for c in problem.recordings))
+    return Seen(
+        **{**vars(recorded), "lowest": float(places.min()), "travel": float(np.ptp(places)), "step": missing.step},
+        fast=float(np.quantile(speeds, 0.95)) if len(speeds) else 1.0,
+        span=span,
+        heating=_heating_command(missing, values, span),
+        push=values["input_gain"] * span,
+        dry_friction=values.get("coulomb_friction"),
+    )
+
+
+def _page_trials(missing: MissingTorque, seen: Seen, effect: str) -> list[dict[str, float]]:
     """Values that the effect's own page would try."""
     screen = EFFECTS[effect].screen
     assert screen is not None
-    rows = [dict(zip(screen.grid, values, strict=True)) for values in itertools.product(*screen.grid.values())]
-    if screen.trials is not None:
-        rows = screen.trials(case.recorded)
+    if screen.rate is not None:
+        lines = _disturbance_frequencies if "time" in EFFECTS[effect].depends_on else _ripple_orders
+        return [{screen.rate: rate} for rate in lines(missing, seen)]
+    if screen.trials is None:
+        return [dict(zip(screen.grid, values, strict=True)) for values in itertools.product(*screen.grid.values())]
+    rows = screen.trials(seen)
     return _rows_followed(missing, effect, rows) if screen.local else rows
 
 
-def _joint_frequencies(step: float, end: float) -> list[float]:
-    """Frequencies, Hz, from three periods in a recording to a tenth of the sample rate. Each is 1.4 times the one
-    before it, since a fit finds ringing from no further off.
+def _ripple_orders(missing: MissingTorque, seen: Seen) -> list[float]:
+    """Rates, per unit of the axis, at which the missing torque repeats most over the position.
+
+    A ripple has to repeat within the travel. On more than half a turn it repeats a whole number of times per turn. A
+    wave over the motor's angle has another phase over the link's when the motor pushes from the other side of its gap.
     """
-    lowest, highest = parameter_bounds.bounds_of("joint_frequency")
-    lowest, highest = max(1.05 * lowest, 3.0 / end), min(0.75 * highest, 0.1 / step)
-    count = max(math.ceil(math.log(max(highest / lowest, 1.0)) / math.log(1.4)), 1)
-    return [lowest * (highest / lowest) ** (i / count) for i in range(count + 1)]
+    travel = max(seen.travel, 1e-9)
+    least = MIN_REPEATS * _TURN / travel
+    turning = seen.turns and travel > 3.0
+    circle, most = (_TURN, 60.0) if turning else (_RATES_PER_LINE * travel, 45.0 * least)
+    sides = [np.where(np.sign(missing.command) == s, missing.torque, np.nan) for s in (1.0, -1.0)]
+    orders = (_spectral_lines(missing.position, t, circle, least, most) for t in ([missing.torque], sides))
+    return list(dict.fromkeys(itertools.chain(*orders)))
 
 
-def trial_grids(
-    problem: FitProblem, structure: Structure, values: Mapping[str, float]
-) -> dict[str, list[dict[str, float]]]:
-    """For each candidate, values of its non-linear parameters that are worth a try on these recordings."""
-    longest = max(problem.recordings, key=lambda c: c.drive.time[-1])
-    span = float(max(np.max(np.abs(c.recording.input)) for c in problem.recordings))
-    end = float(longest.drive.time[-1])
-    missing = residual_torque.missing_torque(longest, structure, values)
-    places = np.concatenate([c.positions for c in problem.recordings])
-    travel = float(np.ptp(places))
-    out: dict[str, list[dict[str, float]]] = {}
-    for effect in CANDIDATES:
-        out[effect] = _page_trials(longest, missing, effect)
-    speeds = np.abs(missing.velocity[np.isfinite(missing.velocity)])
-    fast = float(np.quantile(speeds, 0.95)) if len(speeds) else 1.0
-    out["stribeck_friction"] = [{"stribeck_velocity": f * fast} for f in (0.02, 0.06, 0.15)]
-    if travel > 0.0:
-        # A ripple has to repeat within the travel. On more than half a turn it repeats a whole number of times per
-        # turn.
-        least = MIN_REPEATS * _TURN / travel
-        turning = longest.recording.is_angle and travel > 3.0
-        circle, most = (_TURN, 60.0) if turning else (_RATES_PER_LINE * travel, 45.0 * least)
-        # A wave over the motor's angle has another phase over the link's when the motor pushes from the other side of
-        # its gap.
-        sides = [np.where(np.sign(missing.command) == s, missing.torque, np.nan) for s in (1.0, -1.0)]
-        orders = (_spectral_lines(missing.position, t, circle, least, most) for t in ([missing.torque], sides))
-        out["torque_ripple"] = [{"ripple_order": n} for n in dict.fromkeys(itertools.chain(*orders))]
-    slowest, fastest = _TURN * max(0.1, 2.0 / end), _TURN * min(25.0, 0.2 / missing.step)
-    rates = _spectral_lines(missing.time, [missing.torque], _RATES_PER_LINE * end, slowest, fastest)
-    out["periodic_disturbance"] = [{"disturbance_frequency": r / _TURN} for r in rates]
-    heats = _heating_command(missing, values, span)
-    fades = dict.fromkeys(
-        np.clip([0.15 * end, 0.5 * end, 1.5 * end], *parameter_bounds.bounds_of("fade_time")).tolist()
-    )
-    out["thermal_fade"] = [{"fade_time": t, "fade_reference": heats} for t in fades]
-    out["supply_sag"] = [{**row, "sag_reference": span} for row in out["supply_sag"]]
-    out["load_change"] = [{"load_time": f * end} for f in np.linspace(0.1, 0.9, 9)]
-    out["drive_saturation"] = [{"saturation_limit": f * span} for f in (0.4, 0.55, 0.7, 0.85, 0.95)]
-    # Behind the dead-band or ahead of it; what lies between is no choice of a recording.
-    out["motor_lag"] = [{"lag_time": t, "lag_dead_band": share} for t in (0.003, 0.01, 0.03) for share in (0.0, 1.0)]
-    # Beside dry friction no slope leads to friction that gives: it is tried in its place, as large.
-    drive = values["input_gain"] * span
-    dry = [values["coulomb_friction"]] if "coulomb_friction" in structure else [0.03 * drive, 0.15 * drive]
-    out["presliding_friction"] = [
-        {**row, "presliding_friction": size} for row in out["presliding_friction"] for size in dry
-    ]
-    out["input_delay"] = [{"delay": t} for t in (0.002, 0.006, 0.015)]
-    stops = []
-    for high, low in ((1, 0), (0, 1), (1, 1)):
-        for hardness, share in itertools.product((8e3, 6e4), (0.15, 0.8)):
-            # The link runs on until the stop has turned it around, so that this lies inside the furthest reading.
-            depth = share * fast / math.sqrt(hardness)
-            stops.append(
-                {
-                    "stop_upper": float(places.max()) - depth if high else float(places.max()) + travel,
-                    "stop_lower": float(places.min()) + depth if low else float(places.min()) - travel,
-                    "stop_stiffness": hardness,
-                    "stop_damping": 0.4 * math.sqrt(hardness),
-                }
-            )
-    out["end_stop"] = stops
-    lever = longest.recording.lever
-    # Ringing is told by its frequency, which no gradient finds from afar, and changes what the gap looked like.
-    out["joint_elasticity"] = [
-        {
-            "joint_frequency": f,
-            "joint_damping": 0.15,
-            "motor_share": share,
-            "backlash_gap": gap,
-            "friction_share": 0.7,
-        }
-        for f in _joint_frequencies(missing.step, end)
-        for share in (0.15, 0.3, 0.45)
-        for gap in (0.015 * lever, 0.04 * lever)
-    ]
-    return {effect: with_gap_sides(rows, structure, values, effect) for effect, rows in out.items()}
+def _disturbance_frequencies(missing: MissingTorque, seen: Seen) -> list[float]:
+    """Frequencies, Hz, at which the missing torque repeats most over the time."""
+    slowest, fastest = _TURN * max(0.1, 2.0 / seen.end), _TURN * min(25.0, 0.2 / missing.step)
+    rates = _spectral_lines(missing.time, [missing.torque], _RATES_PER_LINE * seen.end, slowest, fastest)
+    return [rate / _TURN for rate in rates]
 
 
 def with_gap_sides(

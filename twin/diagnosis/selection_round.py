@@ -71,8 +71,8 @@ def _short_fit(problem: FitProblem, base: Fit, entry: Candidate) -> Hypothesis:
 
 def screen_candidates(problem: FitProblem, base: Fit, candidates: Sequence[str]) -> list[Hypothesis]:
     """The candidates that promise most beside the base, after a few steps; the best first."""
-    trials = screening.trial_grids(problem, base.structure, base.values)
-    entered = screening.score_candidates(problem, base, {e: trials[e] for e in candidates})
+    trials = screening.trial_grids(problem, base.structure, base.values, candidates)
+    entered = screening.score_candidates(problem, base, trials)
     entries = sorted(entered, key=lambda e: -e.promised_gain)
     fits = each(lambda e: _short_fit(problem, base, e), entries[: thresholds.MAX_SCREENED])
     return sorted(fits, key=lambda h: h.deviance)
@@ -233,7 +233,7 @@ def _is_confusable(effect: str, winner: Hypothesis) -> bool:
 def _fit_in_place_of_winner(problem: FitProblem, winner: Hypothesis, structure: Structure, effect: str) -> Hypothesis:
     """The structure with the effect, from where the winner stands."""
     longer, point = preparation.with_tooth_compliance(structure.with_(effect)), winner.point
-    trials = screening.trial_grids(problem, point.structure, point.values)[effect]
+    trials = screening.trial_grids(problem, point.structure, point.values, [effect])[effect]
     places = [screening.values_with(point, longer, effect, t) for t in trials]
     begun = screening.most_likely_values(problem.at(point.process_noise), longer, places)
     return Hypothesis((effect,), local_optima.refit(problem.at(point.process_noise), longer, begun))
@@ -317,11 +317,13 @@ def run_round(
         smaller = _better_plausible(problem, before, places)
         unit = model_comparison.overdispersion([before, leaders[0].point])
         learned = (before.deviance - smaller.deviance) / unit
-        if learned < thresholds.PENALTY_PER_PARAMETER:
+        gained = (smaller.deviance - leaders[0].deviance) / unit
+        before = smaller
+        # Beside a leader that adds much more than the smaller model learned, another pass changes no order.
+        if learned < max(thresholds.PENALTY_PER_PARAMETER, thresholds.CLOSE_SHARE * gained):
             break
         if learned < thresholds.MIN_GAIN:
             promising = [h.added[0] for h in near]
-        before = smaller
     least = thresholds.PROMISING_SHARE * thresholds.MIN_GAIN * unit
 
     def far() -> float:  # the deviance above which a rival is far behind the best

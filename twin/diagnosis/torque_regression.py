@@ -210,12 +210,12 @@ def ranked_by_torque(problem: FitProblem, base: Fit, candidates: Sequence[str]) 
     torque, turn = states["torque"], (states["time"] / _BLOCK_LENGTH).astype(np.intp) % _FOLDS
     # What is transmitted as far as the base knows: what is missing moves the axis, too, and would follow itself.
     states["transmitted"] = base.values["input_gain"] * states["input"]
-    trials = screening.trial_grids(problem, base.structure, base.values)
+    linear = [e for e in candidates if EFFECTS[e].slot in TORQUE_SLOTS and e not in screening.WITHOUT_SCORE_TEST]
+    trials = screening.trial_grids(problem, base.structure, base.values, linear)
     own = _base_regressors(states)
     alone, _ = _cross_validated_regression(own, torque, turn)
     found = []
-    for effect in (e for e in candidates if EFFECTS[e].slot in TORQUE_SLOTS and e not in screening.WITHOUT_SCORE_TEST):
-        rows = trials[effect]
+    for effect, rows in trials.items():
         laws = (_effect_regressors(base.structure, effect, row, states) for row in rows)
         told = [_cross_validated_regression(np.concatenate([own, law], axis=1), torque, turn) for law in laws]
         (share, sizes), row = max(zip(told, rows, strict=True), key=lambda t: t[0][0])

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from twin.effects import places
-from twin.effects.effect import Effect, Recorded, Screen
+from twin.effects.effect import Effect, Recorded, Screen, Seen
 from twin.effects.math_ops import cos, exp, sin
 from twin.effects.parameter import Parameter
 
@@ -20,12 +20,12 @@ def law(q: Any, p: Any) -> Any:
     return -p.detent_torque * sin(phase) / sin(edge) * exp(depth)
 
 
-def trials(recorded: Recorded) -> list[dict[str, float]]:
+def trials(seen: Seen) -> list[dict[str, float]]:
     """Detents from once to six times a turn, or once in the travel, of four widths, at every half of their width."""
     return [
         {"detent_order": order, "detent_angle": angle, "detent_width": width}
-        for order in places.orders(recorded, 6)
-        for width, angle in places.grid(recorded, order, (0.05, 0.1, 0.2, 0.4))
+        for order in places.orders(seen, 6)
+        for width, angle in places.grid(seen, order, (0.05, 0.1, 0.2, 0.4))
     ]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from twin.effects.effect import Effect, Recorded, Screen
+from twin.effects.effect import Effect, Recorded, Screen, Seen
 from twin.effects.math_ops import maximum, minimum
 from twin.effects.parameter import Parameter
 
@@ -19,10 +19,10 @@ def law(q: Any, p: Any) -> Any:
     return p.pulse_torque * maximum(0.0, minimum(1.0, minimum(rising, falling)))
 
 
-def trials(recorded: Recorded) -> list[dict[str, float]]:
+def trials(seen: Seen) -> list[dict[str, float]]:
     """Pulses of four lengths, at every half of their length."""
     return [
-        {"pulse_start": begin * recorded.end, "pulse_length": max(length * recorded.end, 0.1)}
+        {"pulse_start": begin * seen.end, "pulse_length": max(length * seen.end, 0.1)}
         for length in _LENGTHS
         for begin in (0.5 * length * i for i in range(int(2.0 * (1.0 - length) / length) + 1))
     ]

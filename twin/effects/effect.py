@@ -47,22 +47,37 @@ class Recorded:
 
 
 @dataclass(frozen=True)
+class Seen(Recorded):
+    """What a page may know to say where a search for its effect begins: the recording, and a model of it that lacks the
+    effect.
+    """
+
+    fast: float  # speed that is exceeded for a twentieth of the time, in the axis' unit per s
+    span: float  # largest command either way, in the input's unit
+    heating: float  # command that heats a held motor as the recording does in the mean, in the input's unit
+    push: float  # acceleration that the largest command makes, in the axis' unit per s^2
+    dry_friction: float | None  # size of the model's dry friction, over inertia; None where it has none
+
+
+@dataclass(frozen=True)
 class Screen:
     """How to look for an effect before it is fitted.
 
     `gain` is the parameter whose neutral value switches the effect off. Where the law also has a phase or rest
     position, `phase` names it. `combine` then makes (gain, phase) of two amounts: that of the law at phase zero, and
-    that of its derivative by the phase. `grid` holds trial values of other parameters; where they depend on the
-    recording, `trials` gives them row by row. A law that acts at one place or time is `local`. It has many rows, and
-    those whose law best follows the missing torque are tried.
+    that of its derivative by the phase. `grid` holds trial values of other parameters; where they depend on what is
+    seen, `trials` gives them row by row. A law that acts at one place or time is `local`. It has many rows, and those
+    whose law best follows the missing torque are tried. `rate` names a parameter that says how often the law repeats
+    over the position or the time: its values are the strongest lines of the missing torque.
     """
 
     gain: str
     phase: str | None = None
     combine: Callable[[float, float], tuple[float, float]] | None = None
     grid: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    trials: Callable[[Recorded], list[dict[str, float]]] | None = None
+    trials: Callable[[Seen], list[dict[str, float]]] | None = None
     local: bool = False
+    rate: str | None = None
 
 
 @dataclass(frozen=True)

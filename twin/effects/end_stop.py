@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from typing import Any
 
-from twin.effects.effect import Effect, Screen
+from twin.effects.effect import Effect, Screen, Seen
 from twin.effects.math_ops import maximum, where
 from twin.effects.parameter import Parameter
 
@@ -18,6 +20,27 @@ def law(q: Any, p: Any) -> Any:
     up = p.stop_stiffness * below * (1.0 - p.stop_hysteresis * q.velocity) - p.stop_damping * q.velocity
     down = p.stop_stiffness * above * (1.0 + p.stop_hysteresis * q.velocity) + p.stop_damping * q.velocity
     return where(below > 0.0, maximum(up, 0.0), where(above > 0.0, -maximum(down, 0.0), 0.0))
+
+
+def trials(seen: Seen) -> list[dict[str, float]]:
+    """Stops on one side or both, soft and hard, near the furthest readings.
+
+    The link runs on until the stop has turned it around, so that a stop lies inside the furthest reading.
+    """
+    rows = []
+    for upper, lower in ((1, 0), (0, 1), (1, 1)):
+        for stiffness, share in itertools.product((8e3, 6e4), (0.15, 0.8)):
+            depth = share * seen.fast / math.sqrt(stiffness)
+            highest = seen.lowest + seen.travel
+            rows.append(
+                {
+                    "stop_upper": highest - depth if upper else highest + seen.travel,
+                    "stop_lower": seen.lowest + depth if lower else seen.lowest - seen.travel,
+                    "stop_stiffness": stiffness,
+                    "stop_damping": 0.4 * math.sqrt(stiffness),
+                }
+            )
+    return rows
 
 
 EFFECT = Effect(
@@ -39,5 +62,5 @@ EFFECT = Effect(
     reference="Goldsmith, Impact, 1960 (damped from the first touch); Hunt, Crossley, Coefficient of restitution "
     "interpreted as damping in vibroimpact, J. Appl. Mech. 42, 1975 (damped by depth)",
     confused_with={"spring": "rest in mid-travel: a stop acts only beyond its angle"},
-    screen=Screen("stop_stiffness"),
+    screen=Screen("stop_stiffness", trials=trials),
 )

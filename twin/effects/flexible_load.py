@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from twin.effects.effect import Effect, Recorded, Screen
+from twin.effects.effect import Effect, Screen, Seen
 from twin.effects.parameter import Parameter
 
 #: Least frequency that is looked for, Hz, the step from one to the next, and the damping ratio of the trials: from rows
@@ -22,10 +22,10 @@ def law(q: Any, p: Any) -> Any:
     return p.flexible_load_share * q.tug
 
 
-def trials(recorded: Recorded) -> list[dict[str, float]]:
+def trials(seen: Seen) -> list[dict[str, float]]:
     """What no spring holds, and frequencies from 0.3 Hz to a tenth of the sample rate."""
     rows = [{"flexible_load_stiffness": 0.0, "flexible_load_damping": damper} for damper in _LOOSE]
-    highest = min(0.1 / recorded.step, 0.9 * math.sqrt(_STIFFEST) / (2.0 * math.pi))
+    highest = min(0.1 / seen.step, 0.9 * math.sqrt(_STIFFEST) / (2.0 * math.pi))
     for i in range(math.floor(math.log(max(highest / _LOWEST, 1.0), _STEP)) + 1):
         rate = 2.0 * math.pi * _LOWEST * _STEP**i
         rows.append({"flexible_load_stiffness": rate**2, "flexible_load_damping": 2.0 * _DAMPING_RATIO * rate})

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from twin.effects.effect import Effect, Recorded, Screen
+from twin.effects.effect import Effect, Recorded, Screen, Seen
 from twin.effects.math_ops import exp
 from twin.effects.parameter import Parameter
 
@@ -14,9 +14,9 @@ def law(q: Any, p: Any) -> Any:
     return p.run_in_friction * exp(-q.time / p.run_in_time)
 
 
-def trials(recorded: Recorded) -> list[dict[str, float]]:
+def trials(seen: Seen) -> list[dict[str, float]]:
     """Time constants between a twentieth and the whole of the recording."""
-    return [{"run_in_time": min(max(share * recorded.end, 0.2), 3600.0)} for share in (0.05, 0.12, 0.3, 0.8)]
+    return [{"run_in_time": min(max(share * seen.end, 0.2), 3600.0)} for share in (0.05, 0.12, 0.3, 0.8)]
 
 
 def plausible(values: Mapping[str, float], recorded: Recorded) -> bool:

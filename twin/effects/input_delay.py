@@ -21,5 +21,5 @@ EFFECT = Effect(
         "backlash": "reversals at two or more amplitudes: a delay is the same at each",
     },
     equation=r"u(t - t_d)",
-    screen=Screen("delay"),
+    screen=Screen("delay", grid={"delay": (0.002, 0.006, 0.015)}),
 )

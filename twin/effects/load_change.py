@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from twin.effects.effect import Effect, Screen
+from twin.effects.effect import Effect, Screen, Seen
 from twin.effects.math_ops import where
 from twin.effects.parameter import Parameter
 
@@ -12,6 +12,11 @@ from twin.effects.parameter import Parameter
 def law(q: Any, p: Any) -> Any:
     # The stepper ends a piece at this moment, so that it is met exactly and can be estimated.
     return p.load_added * where(q.time > p.load_time, 1.0, 0.0)
+
+
+def trials(seen: Seen) -> list[dict[str, float]]:
+    """Nine moments, evenly spread."""
+    return [{"load_time": 0.1 * i * seen.end} for i in range(1, 10)]
 
 
 EFFECT = Effect(
@@ -29,5 +34,5 @@ EFFECT = Effect(
     sentence="At {load_time} the inertia changes by {load_added} of what it was.",
     reference="Basseville, Nikiforov, Detection of Abrupt Changes, 1993",
     confused_with={"thermal_fade": "repeat the first block at the end: heat comes slowly, a load at once"},
-    screen=Screen("load_added"),
+    screen=Screen("load_added", trials=trials),
 )

@@ -36,5 +36,6 @@ EFFECT = Effect(
     r" - \ell,\quad u_{e} = \max\left(\ell - \lambda_{e}\,\delta_{f}, 0\right)"
     r" + \min\left(\ell + \lambda_{e}\,\delta_{r}, 0\right)",
     substeps=2,
-    screen=Screen("lag_time"),
+    # Behind the dead-band or ahead of it: what lies between is no choice of a recording.
+    screen=Screen("lag_time", grid={"lag_time": (0.003, 0.01, 0.03), "lag_dead_band": (0.0, 1.0)}),
 )

@@ -31,5 +31,5 @@ EFFECT = Effect(
     reference="Den Hartog, Mechanical Vibrations, 1956",
     confused_with={"torque_ripple": "run at two speeds: a ripple's frequency follows the speed"},
     substeps=2,
-    screen=Screen("disturbance", "disturbance_phase", polar),
+    screen=Screen("disturbance", "disturbance_phase", polar, rate="disturbance_frequency"),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from twin.effects.effect import Effect, Recorded, Screen
+from twin.effects.effect import Effect, Screen, Seen
 from twin.effects.parameter import Parameter
 
 
@@ -12,9 +12,17 @@ def law(q: Any, p: Any) -> Any:
     return -p.presliding_friction * q.bend
 
 
-def trials(recorded: Recorded) -> list[dict[str, float]]:
-    """Travels, each three times the one before it, as angles at the lever."""
-    return [{"presliding_travel": way * recorded.lever} for way in (0.003, 0.01, 0.03, 0.1)]
+def trials(seen: Seen) -> list[dict[str, float]]:
+    """Travels, each three times the one before it, as angles at the lever.
+
+    Beside dry friction no slope leads to friction that gives: it is tried in its place, as large.
+    """
+    dry = (0.03 * seen.push, 0.15 * seen.push) if seen.dry_friction is None else (seen.dry_friction,)
+    return [
+        {"presliding_travel": way * seen.lever, "presliding_friction": size}
+        for way in (0.003, 0.01, 0.03, 0.1)
+        for size in dry
+    ]
 
 
 EFFECT = Effect(

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from twin.effects import places
-from twin.effects.effect import Effect, Recorded, Screen
+from twin.effects.effect import Effect, Recorded, Screen, Seen
 from twin.effects.math_ops import cos, exp
 from twin.effects.parameter import Parameter
 
@@ -19,12 +19,12 @@ def law(q: Any, p: Any) -> Any:
     return p.sector_friction * exp(-(((1.0 - cos(phase)) / (1.0 - cos(edge))) ** 2))
 
 
-def trials(recorded: Recorded) -> list[dict[str, float]]:
+def trials(seen: Seen) -> list[dict[str, float]]:
     """Sectors once a turn, or once in the travel, of four widths, at every half of their width."""
-    order = places.orders(recorded, 1)[0]
+    order = places.orders(seen, 1)[0]
     return [
         {"sector_order": order, "sector_angle": angle, "sector_width": width}
-        for width, angle in places.grid(recorded, order, (0.06, 0.15, 0.3, 0.6))
+        for width, angle in places.grid(seen, order, (0.06, 0.15, 0.3, 0.6))
     ]
 
 

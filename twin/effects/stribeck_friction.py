@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from twin.effects.effect import Effect, Screen
+from twin.effects.effect import Effect, Screen, Seen
 from twin.effects.math_ops import exp
 from twin.effects.parameter import Parameter
 
 
 def law(q: Any, p: Any) -> Any:
     return p.stribeck_friction * exp(-((q.velocity / p.stribeck_velocity) ** 2))
+
+
+def trials(seen: Seen) -> list[dict[str, float]]:
+    """Small speeds, as shares of a fast one."""
+    return [{"stribeck_velocity": share * seen.fast} for share in (0.02, 0.06, 0.15)]
 
 
 EFFECT = Effect(
@@ -32,6 +37,6 @@ EFFECT = Effect(
         "coulomb_friction": "slow ramps: dwell at low speed",
         "backlash": "reversals at several amplitudes",
     },
-    screen=Screen("stribeck_friction", grid={"stribeck_velocity": (0.05, 0.2, 0.6, 1.5)}),
+    screen=Screen("stribeck_friction", trials=trials),
     includes=("coulomb_friction",),
 )

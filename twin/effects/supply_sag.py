@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from twin.effects.effect import Effect, Screen
+from twin.effects.effect import Effect, Screen, Seen
 from twin.effects.math_ops import absolute, maximum, where
 from twin.effects.parameter import Parameter
 
@@ -16,6 +16,11 @@ def law(q: Any, p: Any) -> Any:
     against = p.sag_emf * q.emf * (2.0 * where(q.command > 0.0, 1.0, 0.0) - 1.0)
     on = p.supply_sag * (1.0 - p.sag_switched * (1.0 - size / p.sag_reference))
     return q.command * maximum(1.0 - on * maximum(size - against, 0.0) / (1.0 + on * size), 0.1)
+
+
+def trials(seen: Seen) -> list[dict[str, float]]:
+    """A linear drive and a switched one that is always on at the largest command."""
+    return [{"sag_switched": switched, "sag_reference": seen.span} for switched in (0.0, 1.0)]
 
 
 EFFECT = Effect(
@@ -43,5 +48,5 @@ EFFECT = Effect(
         "quadratic_drag": "coast-downs from high speed",
         "coulomb_friction": "coast-downs",
     },
-    screen=Screen("supply_sag", grid={"sag_switched": (0.0, 1.0)}),
+    screen=Screen("supply_sag", trials=trials),
 )

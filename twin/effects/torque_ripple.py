@@ -33,10 +33,5 @@ EFFECT = Effect(
         "encoder_eccentricity": "two constant speeds: a torque's trace falls with speed, a sensor's does not"
     },
     substeps=2,
-    screen=Screen(
-        "ripple_torque",
-        "ripple_phase",
-        polar,
-        {"ripple_order": tuple(float(n) for n in range(2, 61))},
-    ),
+    screen=Screen("ripple_torque", "ripple_phase", polar, rate="ripple_order"),
 )
