@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from axis_runs import run
 
-from twin.diagnosis import diagnose, forward_selection
+from twin.diagnosis import forward_selection, probabilities
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -36,7 +36,7 @@ def test_dry_friction_takes_the_place_of_the_dead_band() -> None:
     assert found.last.structure.named == ("coulomb_friction",) and "dead_band" not in found.last.structure
     assert found.last.values["coulomb_friction"] == pytest.approx(3.0, rel=0.02)
     assert "dead_band" in found.first.structure and found.first.deviance > found.last.deviance
-    assert diagnose._undecided(found) == ()
+    assert probabilities.undecided(found) == ()
 
 
 def test_a_dead_band_that_coast_downs_show_stays() -> None:
@@ -53,7 +53,7 @@ def test_where_the_drive_always_pushes_one_could_be_the_other() -> None:
     """Said once, with the experiment that tells them apart."""
     found = searched(made(RIGID.with_("coulomb_friction"), "V", False, coulomb_friction=3.0))
     assert found.last.structure.named == ("coulomb_friction",)
-    (pair,) = diagnose._undecided(found)
+    (pair,) = probabilities.undecided(found)
     assert set(pair.ids) == {"coulomb_friction", "dead_band"} and "coast-downs" in pair.experiment
 
 

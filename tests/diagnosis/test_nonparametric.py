@@ -12,10 +12,13 @@ from axis_runs import run, steps
 from scipy.interpolate import CubicHermiteSpline
 
 from twin.diagnosis import (
+    cross_validation,
     data_split,
     diagnose,
+    free_curves,
     holdout,
     model_comparison,
+    name_tests,
     nonparametric,
     residual_torque,
     selection_round,
@@ -232,14 +235,13 @@ def late(*missing: str) -> Recording:
 @pytest.mark.parametrize("missing", [("drive_saturation",), ("end_stop",), ()])
 def test_where_the_end_goes_where_nothing_before_was_the_middle_is_held_out(missing):
     whole = late(*missing)
-    (train,), (held_out,), found, said = diagnose._split_and_search(
-        [whole], STRUCTURE, {}, ["drive_saturation", "end_stop"], None
-    )
+    searched = diagnose._split_and_search([whole], STRUCTURE, {}, ["drive_saturation", "end_stop"], None)
+    (train,), (held_out,), found = searched.train, searched.held_out, searched.found
     assert set(found.last.structure.ids) == {*STRUCTURE.ids, *missing}
     assert (held_out.begin, held_out.end) == pytest.approx((10.5, 19.5), abs=0.01)
     assert np.array_equal(np.isfinite(train.output), ~held_out.inside[: len(train.time)])
     assert len(train.time) + np.count_nonzero(held_out.inside[len(train.time) :]) == SAMPLES
-    (says,) = said
+    (says,) = searched.said
     assert says.startswith("The end goes where the rest never was: the command") and "the middle was held out" in says
 
 
@@ -406,7 +408,7 @@ def test_what_has_no_name_wins_where_the_names_do_nothing_beside_it(key, name, t
     nameless = with_curve([case], first, term)
     found = SearchResult(first, last, (), FitProblem((case,)))
     for p_value in (1.0, 0.0):
-        assert diagnose._curve_replaces_names(found, nameless, 2 * [left(0.3, p_value, 0.4)]) is outdone
+        assert free_curves.replaces_names(found, nameless, 2 * [left(0.3, p_value, 0.4)]) is outdone
 
 
 @pytest.mark.parametrize(
@@ -417,9 +419,9 @@ def test_beside_a_curve_that_does_more_every_name_has_to_earn_its_place(monkeypa
     last = replace(first, structure=STRUCTURE.with_(*("quadratic_drag", "gravity")[:names]))
     nameless = with_curve([case], first, CurveTerm("velocity"))
     both = replace(nameless, deviance=nameless.deviance - earned * model_comparison.overdispersion([nameless]))
-    monkeypatch.setattr(diagnose, "_fit_names_beside_curve", lambda found, curve: both)
+    monkeypatch.setattr(free_curves, "_fit_names_beside_curve", lambda found, curve: both)
     assert (
-        diagnose._curve_replaces_names(
+        free_curves.replaces_names(
             SearchResult(first, last, (), FitProblem((case,))), nameless, 2 * [left(0.3, 0.0, 0.4)]
         )
         is outdone
@@ -434,9 +436,9 @@ def test_dry_friction_that_leaves_little_keeps_its_name(monkeypatch, name, size,
     """No machine's follows a law exactly; and a curve over the speed has its step, so that it does nothing beside."""
     case, first = fitted("hump")
     last, nameless = replace(first, structure=STRUCTURE.with_(name)), with_curve([case], first, CurveTerm("velocity"))
-    monkeypatch.setattr(diagnose, "_fit_names_beside_curve", lambda found, curve: nameless)
+    monkeypatch.setattr(free_curves, "_fit_names_beside_curve", lambda found, curve: nameless)
     what = [left(0.8, 0.0, 0.4), left(0.7, 0.0, size)]
-    assert diagnose._curve_replaces_names(SearchResult(first, last, (), FitProblem((case,))), nameless, what) is outdone
+    assert free_curves.replaces_names(SearchResult(first, last, (), FitProblem((case,))), nameless, what) is outdone
 
 
 def test_dry_friction_is_no_motor_that_varies_over_its_turn():
@@ -444,7 +446,7 @@ def test_dry_friction_is_no_motor_that_varies_over_its_turn():
     case, first = fitted("gain")
     last, nameless = with_name(case, first, "position_dependent_friction"), with_curve([case], first, CurveTerm("gain"))
     what = [left(0.8, 0.0, 0.4), left(0.7, 0.0, 0.04)]
-    assert diagnose._curve_replaces_names(SearchResult(first, last, (), FitProblem((case,))), nameless, what)
+    assert free_curves.replaces_names(SearchResult(first, last, (), FitProblem((case,))), nameless, what)
 
 
 @pytest.mark.parametrize(
@@ -457,22 +459,20 @@ def test_a_curve_that_foretells_what_plainly_goes_with_something_has_to_earn_its
     nameless = with_curve([case], first, CurveTerm("velocity"))
     monkeypatch.setattr(model_comparison, "gain", lambda before, after, doubt=0.0: earned)
     what = 2 * [left(0.1, p_value, 0.1)]
-    assert (
-        diagnose._curve_replaces_names(SearchResult(first, first, (), FitProblem((case,))), nameless, what) is outdone
-    )
+    assert free_curves.replaces_names(SearchResult(first, first, (), FitProblem((case,))), nameless, what) is outdone
 
 
 def test_a_name_that_two_stretches_speak_for_is_dropped(monkeypatch):
     case, first = fitted("drag")
     last = with_name(case, first, "quadratic_drag")
     found = SearchResult(first, last, (), FitProblem((case,)), (first,))
-    assert diagnose._name_p_values(found, first.structure)["quadratic_drag"] < thresholds.NAME_CLEAR_P_VALUE
-    assert diagnose._name_p_values(replace(found, smaller_models=()), first.structure) == {}
+    assert name_tests.name_p_values(found, first.structure)["quadratic_drag"] < thresholds.NAME_CLEAR_P_VALUE
+    assert name_tests.name_p_values(replace(found, smaller_models=()), first.structure) == {}
     rng = np.random.default_rng(2)
     lucky = np.concatenate([[300.0, 90.0], 10.0 * rng.standard_normal(40) - 2.0])
     for gains, dropped in ((lucky, True), (lucky[:9], False), (np.abs(lucky), False)):
-        monkeypatch.setattr(diagnose.cross_validation, "block_gains", lambda *a, gains=gains: gains)
-        lasting, _, failed = diagnose._drop_unearned_names(found, first.structure)
+        monkeypatch.setattr(cross_validation, "block_gains", lambda *a, gains=gains: gains)
+        lasting, _, failed = name_tests.drop_unearned_names(found, first.structure)
         assert (lasting.last.structure == first.structure) is dropped
         assert [n.id for n in failed] == ["quadratic_drag"] * dropped
         assert all(n.figure > thresholds.NAME_MAX_P_VALUE for n in failed)
@@ -486,7 +486,7 @@ def test_a_name_that_a_longer_memory_makes_nothing_of_is_not_given(key, kept):
         last = replace(last, values={**last.values, "quadratic_drag": 0.0})
     swap = Alternative("quadratic_drag", "gravity", last)
     found = SearchResult(first, last, (), FitProblem((case,)), (first,), (swap,))
-    lasting, (cases, point), _ = diagnose._drop_unearned_names(found, first.structure)
+    lasting, (cases, point), _ = name_tests.drop_unearned_names(found, first.structure)
     assert point.structure == lasting.last.structure and len(cases.recordings) == 1
     if kept:
         assert lasting is found
@@ -494,7 +494,7 @@ def test_a_name_that_a_longer_memory_makes_nothing_of_is_not_given(key, kept):
         assert lasting.last.structure == first.structure
         assert (lasting.smaller_models, lasting.alternatives) == ((), ())
         assert lasting.last.deviance <= first.deviance + 1.0
-    assert diagnose._drop_unearned_names(replace(found, last=last), last.structure)[0].last is last
+    assert name_tests.drop_unearned_names(replace(found, last=last), last.structure)[0].last is last
 
 
 def test_what_lasts_is_asked_of_a_filter_that_forgets_no_faster_than_the_one_that_chose(monkeypatch):
@@ -509,7 +509,7 @@ def test_what_lasts_is_asked_of_a_filter_that_forgets_no_faster_than_the_one_tha
     monkeypatch.setattr(
         contact_masking, "with_contact_mask", lambda cases, point: cases.on(list(map(hidden, cases.recordings)))
     )
-    masked, point = diagnose._fit_with_longest_memory(SearchResult(first, long, (), FitProblem((case,))))
+    masked, point = name_tests.fit_with_longest_memory(SearchResult(first, long, (), FitProblem((case,))))
     (judged,) = masked.recordings
     assert judged.contact_mask is not None and point.process_noise == pytest.approx(long.process_noise)
 
@@ -522,7 +522,7 @@ def test_names_that_leave_little_are_doubted_where_they_took_less_than_depends_o
     before = nonparametric.remaining_dependence(case, first.structure, first.values)
     size = before.size * np.sqrt(1.0 - took * before.share)
     little = replace(before, share=0.5 * thresholds.FAINT_SHARE, size=float(size))
-    nameless = diagnose._best_curve(found, before, little, {})
+    nameless = free_curves.best_curve(found, before, little, {})
     assert ("unknown_velocity" in nameless.structure) is drawn
     assert drawn or nameless is first
 
@@ -547,7 +547,7 @@ def test_a_knot_that_saw_nothing_that_is_judged_is_on_the_line_between_its_neigh
 def test_a_name_that_a_curve_has_swallowed_grows_again_beside_it():
     case, first = fitted("humped")
     last, nameless = with_name(case, first, "coulomb_friction"), with_curve([case], first, CurveTerm("velocity"))
-    both = diagnose._fit_names_beside_curve(SearchResult(first, last, (), FitProblem((case,))), nameless)
+    both = free_curves._fit_names_beside_curve(SearchResult(first, last, (), FitProblem((case,))), nameless)
     # The curve alone is what it grows from: larger by a parameter, it cannot fit less well.
     assert both.deviance < nameless.deviance
     assert both.values["coulomb_friction"] == pytest.approx(3.0, rel=0.2)
@@ -566,7 +566,7 @@ def test_a_curve_stays_in_the_model_where_it_earns_its_place_and_the_names_do_le
     case, first = fitted(key)
     last = with_name(case, first, name) if name else first
     nameless = with_curve([case], first, term)
-    found = diagnose._keep_or_replace(SearchResult(first, last, (), FitProblem((case,))), nameless)
+    found = free_curves.keep_or_replace(SearchResult(first, last, (), FitProblem((case,))), nameless)
     assert found.last is (nameless if drawn else last)
 
 

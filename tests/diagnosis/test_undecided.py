@@ -21,7 +21,7 @@ from concealed import Concealed
 from example_diagnosis import RIG, example
 from mujoco_rig import TURN, draw_rig, simulate
 
-from twin.diagnosis import diagnose, forward_selection, model_comparison, result
+from twin.diagnosis import diagnose, forward_selection, model_comparison, probabilities, result
 from twin.diagnosis.forward_selection import Alternative, SearchResult
 from twin.diagnosis.result import Diagnosis, Fitness
 from twin.diagnosis.selection_round import Hypothesis, Round
@@ -102,35 +102,35 @@ def searched(gap: float, *also: str) -> SearchResult:
 
 @pytest.mark.parametrize("also", [(), ("motor_lag",)])
 def test_a_rival_takes_its_share_and_a_larger_model_none(also):
-    even = diagnose._probabilities(searched(0.0, *also))[0]
+    even = probabilities.probabilities(searched(0.0, *also))[0]
     known = 1.0 - thresholds.PROB_NONE_OF_THESE
     assert even["gravity"] == pytest.approx(0.5 * known)
-    odds = diagnose._probabilities(searched(2.0 * thresholds.TEMPERATURE * np.log(4.0), *also))[0]
+    odds = probabilities.probabilities(searched(2.0 * thresholds.TEMPERATURE * np.log(4.0), *also))[0]
     assert odds["gravity"] == pytest.approx(0.8 * known)
-    assert diagnose._probabilities(searched(1500.0, *also))[0]["gravity"] == pytest.approx(known)
-    assert diagnose._undecided(searched(1500.0, *also)) == ()
-    (pair,) = diagnose._undecided(searched(0.5 * UNDECIDED_MARGIN, *also))
+    assert probabilities.probabilities(searched(1500.0, *also))[0]["gravity"] == pytest.approx(known)
+    assert probabilities.undecided(searched(1500.0, *also)) == ()
+    (pair,) = probabilities.undecided(searched(0.5 * UNDECIDED_MARGIN, *also))
     assert pair.ids == ("gravity", "spring") and sum(pair.probabilities) == pytest.approx(known)
 
 
 def test_what_the_first_model_has_is_no_rival_to_what_is_missing():
     """Nor does it take the chances of what was tried and did not earn a place."""
-    ranking = dict(diagnose._probabilities(searched(0.0, "motor_lag"))[1])
+    ranking = dict(probabilities.probabilities(searched(0.0, "motor_lag"))[1])
     assert set(ranking) == {"gravity", "spring", "coulomb_friction"} and ranking["coulomb_friction"] == 0.0
     before, tried = point(1000.0, "motor_lag"), point(995.0, "motor_lag", "spring")
     nothing = SearchResult(
         before, before, (Round(before, (Hypothesis(("spring",), tried),), 1.0, False),), FitProblem(())
     )
-    ((effect, probability),) = diagnose._probabilities(nothing)[1]
+    ((effect, probability),) = probabilities.probabilities(nothing)[1]
     assert effect == "spring" and 0.4 < probability < 0.7
 
 
 def test_a_curve_in_the_place_of_a_name_takes_its_place_in_the_ranking():
     won = searched(1500.0)
-    assert dict(diagnose._probabilities(won)[1])["gravity"] > 0.9
+    assert dict(probabilities.probabilities(won)[1])["gravity"] > 0.9
     curve = point(100.0, "unknown_position")
     drawn = SearchResult(won.first, curve, won.rounds, FitProblem(()))
-    assert dict(diagnose._probabilities(drawn)[1])["gravity"] < 0.01
+    assert dict(probabilities.probabilities(drawn)[1])["gravity"] < 0.01
 
 
 def test_what_one_name_explains_about_as_well_as_two_is_the_one():
@@ -157,7 +157,7 @@ def test_what_one_name_explains_about_as_well_as_two_is_the_one():
         (point(9000.0),),
         (Alternative("friction_asymmetry", "constant_offset", two),),
     )
-    given = diagnose._probabilities(found)[0]["friction_asymmetry"] / (1.0 - thresholds.PROB_NONE_OF_THESE)
+    given = probabilities.probabilities(found)[0]["friction_asymmetry"] / (1.0 - thresholds.PROB_NONE_OF_THESE)
     assert given == pytest.approx(1.0 / (1.0 + np.exp(-UNDECIDED_MARGIN / (2.0 * thresholds.TEMPERATURE))))
 
 
@@ -272,9 +272,9 @@ def test_while_an_axis_is_pushed_dead_bands_that_differ_may_be_a_constant_torque
         assert own["offset"] == pytest.approx(0.5 * 3.0 * 0.4, rel=0.1)
         assert [own["dead_band_forward"], own["dead_band_reverse"]] == pytest.approx([5.5, 5.5], rel=0.1)
         found = SearchResult(last, last, (), FitProblem(cases), (), (swap,))
-        (doubt,) = diagnose._undecided(found)
+        (doubt,) = probabilities.undecided(found)
         assert doubt.ids == ("dead_band", "constant_offset") and doubt.probabilities[0] > doubt.probabilities[1] > 0.1
-        assert "command" in doubt.experiment and diagnose._probabilities(found)[1] == (
+        assert "command" in doubt.experiment and probabilities.probabilities(found)[1] == (
             ("constant_offset", doubt.probabilities[1]),
         )
     # What does not differ by more than is known needs no torque.

@@ -20,6 +20,8 @@ MIDDLE_PART: Intervals = ((0.35, 0.65),)
 BLOCKS: Intervals = ((0.1, 0.175), (0.35, 0.425), (0.6, 0.675), (0.85, 0.925))
 #: Three time constants, but no less and no more than this, a free run starts ahead of what is judged, s.
 _LEAD_TIME = (1.0, 5.0)
+#: Of long recordings about so many parts of so many s each are held out.
+_SHORT_PARTS, _SHORT_PART = 5, 12.0
 #: A command or a way of less than these shares of the largest is none. Rest at both ends of a recording that makes up
 #: less than this share of it is part of what was tried.
 _IDLE_COMMAND, _IDLE_WAY, _IDLE_TIME = 0.01, 0.02, 0.1
@@ -86,6 +88,23 @@ def split(recordings: Sequence[Recording], where: Intervals = END_PART) -> tuple
         several = f"{recording.name} (without {len(mine)} blocks)"
         kept.append(replace(rest, name=several) if len(mine) > 1 else rest)
     return kept, parts
+
+
+def short_parts(parts: Sequence[RecordingPart]) -> list[RecordingPart]:
+    """At most so many short parts in the place of long ones, evenly spread. Each is cut out with what leads to it."""
+    most = max(round(_SHORT_PARTS / len(parts)), 1)
+    out = []
+    for part in parts:
+        end = min(part.end, float(part.recording.time[-1]))
+        if end - part.begin <= most * _SHORT_PART:
+            out.append(part)
+            continue
+        for begin in np.linspace(part.begin, end - _SHORT_PART, most).tolist():
+            ahead = max(begin - _LEAD_TIME[1], 0.0)
+            cut = part.recording.part(ahead, begin + _SHORT_PART)
+            if np.isfinite(cut.output).any():
+                out.append(RecordingPart(cut, begin - ahead))
+    return out
 
 
 def lead_of(values: Mapping[str, float]) -> float:

@@ -28,6 +28,12 @@ LAW_TOLERANCE = 0.05
 #: Overdispersion where the slopes of all rivals diverge: as large as where a motor rattles without end.
 WORST_OVERDISPERSION = 100.0
 
+# ---- what is searched (diagnose) ----
+
+#: Stamps from which on stretches of the recordings are searched, not all of them (`long_recording`): a search takes
+#: about a minute of processor for every 15,000 stamps.
+MANY_STAMPS = 100_000
+
 # ---- the search for effects (forward_selection) ----
 
 #: Effects that are added at most.

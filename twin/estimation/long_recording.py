@@ -13,31 +13,33 @@ import numpy as np
 
 from twin.io.recording import Recording
 
-#: More stamps than this are many, and of many about so many are searched, in stretches of so many s.
-MANY, _SEARCHED, _STRETCH = 200_000, 80_000, 12.0
+#: More stamps than this are many for a fit. Of many, this share of that number is searched, in stretches of so many s.
+MANY, _SEARCHED, _STRETCH = 200_000, 0.4, 12.0
 #: A stretch of which this share of the readings is missing is none.
 _MIN_READ = 0.5
 
 
-def is_long(recordings: Sequence[Recording]) -> bool:
-    """Whether the recordings hold more stamps than a search looks at."""
-    return sum(len(r.time) for r in recordings) > MANY
+def is_long(recordings: Sequence[Recording], many: int = MANY) -> bool:
+    """Whether the recordings hold more stamps than so many."""
+    return sum(len(r.time) for r in recordings) > many
 
 
-def stretches(recordings: Sequence[Recording]) -> list[Recording]:
+def stretches(recordings: Sequence[Recording], many: int = MANY) -> list[Recording]:
     """Stretches of long recordings, spread evenly over those that move at least half as far as all do on average.
 
     Parameters
     ----------
     recordings
         What is to be fitted.
+    many
+        More stamps than this are too many.
 
     Returns
     -------
     list of Recording
         The recordings themselves where they are not long, or where stretches would hold most of them.
     """
-    if not is_long(recordings):
+    if not is_long(recordings, many):
         return list(recordings)
     cuts, travel, rows = [], [], []
     for k, r in enumerate(recordings):
@@ -51,7 +53,7 @@ def stretches(recordings: Sequence[Recording]) -> list[Recording]:
                 travel.append(float(np.sum(np.abs(np.diff(seen)))))
                 rows.append(end - begin)
     moving = [c for c, way in zip(cuts, travel, strict=True) if way >= 0.5 * float(np.mean(travel))]
-    wanted = max(math.ceil(_SEARCHED / float(np.median(rows))), 2) if rows else 0
+    wanted = max(math.ceil(_SEARCHED * many / float(np.median(rows))), 2) if rows else 0
     if not 0 < wanted <= len(moving) // 2:
         return list(recordings)
     chosen = [moving[i] for i in np.linspace(0, len(moving) - 1, wanted).astype(int)]
