@@ -63,12 +63,36 @@ def test_a_loop_that_holds_a_load_is_not_reversed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
-@pytest.mark.parametrize("friction", [1.5, 5.0, 20.0])
+@pytest.mark.parametrize("friction", [0.2, 1.5, 5.0, 20.0])
 def test_a_magnitude_with_its_direction_elsewhere(tmp_path: Path, seed: int, friction: float) -> None:
     duty = duty_levels(seed, N, STEP)
     recording = loaded(tmp_path, np.abs(duty), counts(duty, friction=friction))
     assert kinds(recording) == ["direction"]
     assert "[input.direction]" in recording.preflight[0].says
+
+
+@pytest.mark.parametrize(
+    ("seed", "friction", "spring", "gravity"), [(1, 0.7, 0.0, 50.0), (5, 0.7, 40.0, 0.0), (5, 2.0, 40.0, 0.0)]
+)
+def test_a_magnitude_on_a_slow_axis_under_load(
+    tmp_path: Path, seed: int, friction: float, spring: float, gravity: float
+) -> None:
+    """The speed follows late, so that the command explains little of its size: it explains the size of its change."""
+
+    def reading(duty: np.ndarray) -> np.ndarray:
+        angle = speed = 0.0
+        read = np.zeros(N)
+        for k in range(N):
+            read[k] = angle
+            for _ in range(2):
+                speed += STEP / 2 * (3.0 * duty[k] - friction * speed - spring * angle - gravity * math.sin(angle))
+                angle += STEP / 2 * speed
+        return np.round(read / COUNT)
+
+    duty = duty_levels(seed, N, STEP)
+    assert kinds(loaded(tmp_path, np.abs(duty), reading(duty))) == ["direction"]
+    assert kinds(loaded(tmp_path, duty, reading(duty))) == []
+    assert kinds(loaded(tmp_path, np.abs(duty), reading(np.abs(duty)))) == []  # the load brings it back
 
 
 def test_a_load_that_falls_back_has_not_lost_a_direction(tmp_path: Path) -> None:

@@ -34,6 +34,8 @@ def write(folder: Path, columns: dict[str, np.ndarray]) -> Path:
          ['"us"', 'column = "pwm"', "full_scale = 255", "scale = -1", "'goal' looks like a reference"]),
         ({"t": TIME, "pwm": np.abs(np.round(DUTY * 2.55)), "dir": np.where(DUTY < 0, 0.0, 1.0), "counts": COUNTS},
          ["[input.direction]", 'column = "dir"']),
+        ({"Zeit [ms]": TIME * 1e3, "PWM": np.abs(np.round(DUTY * 2.55)), "Richtung": np.where(DUTY < 0, 0.0, 1.0),
+          "Winkel [°]": np.rad2deg(ANGLE)}, ["[input.direction]", 'column = "Richtung"', 'unit = "deg"']),
         ({"t": TIME, "duty": np.round(DUTY) % 256, "counts": axis_position(np.round(DUTY), STEP) * 1000 // 1},
          ["signed_bits = 8"]),
         ({"t": TIME, "motor_voltage": DUTY / 8, "rpm": np.round(axis_speed(DUTY, STEP) * 9.55)},
@@ -52,6 +54,19 @@ def test_what_is_written_loads_the_log_and_may_be_fitted(
     (recording,), _ = load([log])
     assert to_fit([recording]) == [recording]
     assert np.median(np.diff(recording.time)) == pytest.approx(STEP)
+
+
+@pytest.mark.parametrize("step", [0.002, 0.01])
+def test_a_counter_of_microseconds_that_wraps_is_known_without_a_name(tmp_path: Path, step: float) -> None:
+    duty = np.round(duty_levels(3, N, step) * 2.55)
+    stamps = (2**32 - 2_000_000 + np.round(np.arange(N) * step * 1e6)) % 2**32
+    counts = np.round(axis_position(duty / 2.55, step) * 4096 / (2 * np.pi))
+    rows = "".join(f"{t:.0f},{u:.0f},{y:.0f}\r\n" for t, u, y in zip(stamps, duty, counts, strict=True))
+    (tmp_path / "log.txt").write_text("Motor test v1.3\r\nready\r\n" + rows)
+    assert main(["init", str(tmp_path / "log.txt"), "--quiet"]) == 0
+    assert 'unit = "us"' in (tmp_path / "rig.toml").read_text()
+    (recording,), _ = load([tmp_path / "log.txt"])
+    assert np.ptp(recording.time) == pytest.approx((N - 1) * step)
 
 
 def test_a_rig_file_that_is_there_stays(tmp_path: Path) -> None:

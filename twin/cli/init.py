@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
 
 from twin.cli.command import Command, check_outputs
@@ -17,7 +18,7 @@ def _init(args: argparse.Namespace) -> int:
     found = rig_draft.draft(args.log)
     files.put(out, found.text)
     said = [f"{out} says what the columns of {args.log[0]} are.", *(f"Check: {u}." for u in found.unsure)]
-    said.append(f"Next: twin identify {' '.join(map(str, args.log))} --rig {out} --out model.toml")
+    said.append(f"Next: {shlex.join(['twin', 'run', *map(str, args.log), '--rig', str(out), '--out', 'out'])}")
     answer = {"format": "twin-init/1", "rig": str(out), "text": found.text, "unsure": list(found.unsure)}
     answer_user(args, said, answer)
     return 0

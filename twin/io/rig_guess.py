@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -16,6 +15,7 @@ from twin.io.preflight.finding import Finding
 from twin.io.preflight.response import Signals, response, to_grid
 from twin.io.rig_file import Rig, rig_of, split_unit
 from twin.io.tables.table import Table, listing
+from twin.io.toml import quoted
 from twin.io.units import INPUT_UNITS, OPTIONAL_UNITS, POSITION_UNITS, SPEED_UNITS, TIME_UNITS, spelled_unit
 
 #: Parts of names, the likeliest first, in English and German. A drive comes before what may be a measurement.
@@ -29,7 +29,7 @@ _ANGLES = ("angle", "winkel")  # a long way under such a name is in deg
 _SPEED = ("speed", "velocity", "omega", "rpm", "drehzahl", "vel", "w", "v", "output", "y")
 _SUPPLY = ("supply", "battery", "vbat", "vbus", "vcc", "bus")
 _OPTIONAL = {"temperature": ("temp",), "supply": _SUPPLY, "current": ("current", "amps", "strom", "i")}
-_DIRECTION = ("dir", "direction", "sign")
+_DIRECTION = ("dir", "direction", "sign", "richtung", "vorzeichen")
 #: Names that may be a position as well as a speed: what stands in the column decides.
 _EITHER = ("output", "y", "x")
 #: A voltage that is called u goes no further; a duty in percent that moves an axis goes further.
@@ -340,8 +340,9 @@ def _time_section(table: Table, columns: Mapping[str, FloatArray], unsure: list[
         unsure.append("no column looks like time: sample_time is a guess; write the true one")
         return Section({"sample_time": 0.001}, {"sample_time": "s; NOT KNOWN, a guess"})
     stamps = columns[name][np.isfinite(columns[name])]
-    # of stamps that come in bursts the median says nothing
-    step = max(float(np.median(np.diff(stamps))), 0.5 * float(np.ptp(stamps)) / max(stamps.size, 1))
+    steps = np.diff(stamps)
+    # Of stamps that come in bursts the median says nothing. A counter that wraps covers less than it counts.
+    step = max(float(np.median(steps)), 0.5 * float(np.sum(steps[steps > 0])) / max(stamps.size, 1))
     written = _unit(name, table, TIME_UNITS) or next(
         (u for word, u in (("millis", "ms"), ("micros", "us"), ("nanos", "ns")) if word in split_unit(name)[0]), None
     )
@@ -428,13 +429,13 @@ def write_sections(
     unsure
         What the user should check.
     """
-    lines = [f"# What the columns of {json.dumps(log)} are. Columns: {', '.join(map(json.dumps, columns))}"]
+    lines = [f"# What the columns of {quoted(log)} are. Columns: {', '.join(map(quoted, columns))}"]
     lines += [f"# CHECK: {u}" for u in unsure]
     titles = ("time", "input", "input.direction", "output", *(s for s in sections if s.startswith("optional")))
     for title in (t for t in titles if t in sections):
         lines.append(f"\n[{title}]")
         for key, value in sections[title].keys.items():
-            said = json.dumps(value, ensure_ascii=False) if isinstance(value, str) else f"{value:.10g}"
+            said = quoted(value) if isinstance(value, str) else f"{value:.10g}"
             remark = sections[title].remarks.get(key)
             lines.append(f"{key} = {said}" + (f"  # {remark}" if remark else ""))
     lines.append("\n[known]\n# inertia = 0.012  # kg m^2, where it is known: turns accelerations into N*m")

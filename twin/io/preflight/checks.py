@@ -12,7 +12,15 @@ from dataclasses import replace
 import numpy as np
 
 from twin.io.preflight.finding import Finding, Severity
-from twin.io.preflight.response import FloatArray, Regression, Response, Signals, response, speed_response
+from twin.io.preflight.response import (
+    FloatArray,
+    Regression,
+    Response,
+    Signals,
+    response,
+    size_of_change_response,
+    speed_response,
+)
 
 #: A command has to explain this share, or more than each of the same commands moved in time.
 _MIN_SHARE = 0.1
@@ -125,7 +133,10 @@ def _is_better(other: Response | None, seen: Response) -> bool:
 
 
 def _drives_size_alone(seen: Response) -> bool:
-    """Whether the command explains the size of the speed, but neither the speed nor its change, or nothing at all."""
+    """Whether the command explains the size of the speed or of its change, not the two themselves, or nothing."""
+    of_change, change_rank = size_of_change_response(seen)
+    if change_rank == 1.0 and of_change > max(seen.share, _MIN_SHARE):
+        return True
     share, rank = speed_response(seen, np.abs)
     signed, _ = speed_response(seen, np.asarray)
     size_alone = rank == 1.0 and share > 2.0 * max(signed, _MIN_SHARE)

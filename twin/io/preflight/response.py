@@ -182,7 +182,17 @@ def speed_response(seen: Response, size: Callable[[FloatArray], FloatArray]) -> 
     size
         What is to be explained of the speed (R,): the speed, or its size.
     """
-    rows = replace(seen.rows, change=size(seen.rows.motion[:, 0]), motion=seen.rows.motion[:, 2:])
+    return _share_and_rank(replace(seen.rows, change=size(seen.rows.motion[:, 0]), motion=seen.rows.motion[:, 2:]))
+
+
+def size_of_change_response(seen: Response) -> tuple[float, float]:
+    """The same of the size of what own motion leaves of the change of speed."""
+    left = np.abs(_residual(seen.rows.motion, seen.rows.change[:, np.newaxis])[:, 0])
+    return _share_and_rank(replace(seen.rows, change=left, motion=np.ones((left.size, 1))))
+
+
+def _share_and_rank(rows: Regression) -> tuple[float, float]:
+    """How much the command explains, and the share of the moved commands that explain less."""
     share = rows.gain()[0]
     moved = [rows.gain(rows.shifted(s))[0] for s in np.linspace(0.08, 0.92, _SHIFTS)]
     return share, float(np.mean(np.array(moved) < share))
