@@ -27,6 +27,8 @@ _FUNCTIONS = {"abs": "fabs", "min": "fmin", "max": "fmax", "int": "trunc"}
 #: Names that are arrays in the texts: states, memory and queue are written to, parameters and settings are read.
 _ARRAYS = {n: f"double *{n}" for n in ("x", "y", "m", "q", "xd")}
 _ARRAYS |= {n: f"const double *{n}" for n in ("p", "g", "k", "pd")}
+#: The functions of the axis that a simulation calls.
+ROOTS = ("step", "sensor")
 #: Where a function gives a value and its derivative, it returns the first and writes the second here.
 _SLOPE = "slope_of_result_"
 
@@ -141,15 +143,21 @@ def _function(function: ast.FunctionDef) -> str:
     return "\n".join([*lines, *_block(function.body, "    "), "}"])
 
 
-def functions(tree: ast.Module, *roots: str) -> str:
-    """C text of a module's functions: the named ones and what is called. C99, needs math.h and stddef.h."""
+def called_by(tree: ast.Module, *roots: str) -> set[str]:
+    """Names of a module's functions that run where the named ones do: these, and what they call."""
     found = {f.name: f for f in tree.body if isinstance(f, ast.FunctionDef)}
     called, left = set(roots), list(roots)
     while left:
         more = {n.id for n in ast.walk(found[left.pop()]) if isinstance(n, ast.Name)} & found.keys() - called
         called |= more
         left += more
-    return text(f for f in found.values() if f.name in called)
+    return called
+
+
+def functions(tree: ast.Module, *roots: str) -> str:
+    """C text of a module's functions: the named ones and what is called. C99, needs math.h and stddef.h."""
+    called = called_by(tree, *roots)
+    return text(f for f in tree.body if isinstance(f, ast.FunctionDef) and f.name in called)
 
 
 def text(functions: Iterable[ast.FunctionDef]) -> str:
@@ -177,4 +185,4 @@ def write(structure: Structure) -> str:
     """C text for one structure: `static double step(double *x, const double *p, const double *k, double command,
     double h)`, `sensor(position, gap, p)` and what they call. C99, needs only math.h, no state of its own.
     """
-    return "#include <math.h>\n\n" + functions(module(structure), "step", "sensor")
+    return "#include <math.h>\n\n" + functions(module(structure), *ROOTS)

@@ -6,7 +6,8 @@ the observer's state at this sample and `y` the state predicted to the moment at
 act; `m` memory, `q` the commands still under way (newest first), `g` the design.
 
 The command from the reading at one sample leaves at the next, as on a rig and between the FMUs of any master. The model
-is run forward over that sample and the input delay.
+is run forward over that sample and the input delay. Functions that take `s` are sections of `sample`
+(`twin.codegen.sections`).
 """
 
 # mypy: ignore-errors
@@ -26,6 +27,7 @@ from typing import ClassVar
 from twin.codegen import c
 from twin.codegen.python import module as axis_module
 from twin.codegen.python import numbering, resolve
+from twin.model.stations import back_emf, behind_lag, clipped, dry_friction
 from twin.model.stepper import EVERYTHING, STATES, Structure
 
 #: Memory of the controller between samples.
@@ -94,13 +96,13 @@ def answer(target, emf, heat, place, limit, p):
 def invert(target, emf, heat, place, p, g):
     """The command for an effective command; through zero a straight line, so that noise does not jump a dead-band."""
     rest = drive(0.0, emf, heat, place, p)
-    beyond = target - rest
-    if beyond > g.blur or beyond < -g.blur:
+    asked = target - rest
+    if asked > g.blur or asked < -g.blur:
         command = answer(target, emf, heat, place, g.limit, p)
     else:
         upper = answer(rest + g.blur, emf, heat, place, g.limit, p)
         lower = answer(rest - g.blur, emf, heat, place, g.limit, p)
-        command = lower + (beyond + g.blur) * (upper - lower) / (2.0 * g.blur)
+        command = lower + (asked + g.blur) * (upper - lower) / (2.0 * g.blur)
     return command
 
 
@@ -119,7 +121,7 @@ def friction(place, speed, heading, through, share, time, p):
     held = 0.0
     # Friction may depend on the torque that it is part of; the map contracts.
     for _ in range(12):
-        held = heading * grip(place, speed, side, through + share * held, time, p)
+        held = heading * dry_friction(place, speed, side, through + share * held, time, p)
     return held
 
 
@@ -171,21 +173,25 @@ def pulling(place, speed, y, k, p):
     return torque
 
 
-def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
-    """One sample: correct, predict, decide. Returns the command to be applied from the next sample on."""
+def innovation(x, m, p, g, measured, s):
+    """What was read less what the observer expected; it begins at the first reading."""
     reading = measured
     if g.resolution > 0.0:
         reading = g.resolution * floor(measured / g.resolution + 0.5)
     if m.started == 0.0:
         m.started = 1.0
         m.nominal = p.offset
-        m.acceleration = acceleration
+        m.acceleration = s.acceleration
         x.position = reading - sensor(reading, x.gap, p)
-    error = reading - x.position - sensor(x.position, x.gap, p)
-    apart = 0
+    s.error = reading - x.position - sensor(x.position, x.gap, p)
+
+
+def crossings(x, m, p, reference, s):
+    """How often the teeth have changed their flank since the reference last did, and whether they are apart."""
+    s.apart = 0
     if has.backlash:
         if x.velocity != x.motor_velocity and x.gap < 0.5 * p.backlash_gap and x.gap > -0.5 * p.backlash_gap:
-            apart = 1
+            s.apart = 1
     if reference != m.goal:
         m.goal = reference
         m.crossings = 0.0
@@ -199,114 +205,152 @@ def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
         if touched != m.flank:
             m.flank = touched
             m.crossings = m.crossings + 1.0
+
+
+def observer(x, m, p, g, s):
+    """Correct the state and the torque that is not modelled."""
     if has.motor_sensor:
         # Nobody sees the link while it flies through the gap.
-        if apart == 0:
-            x.position = x.position + g.observer_position * error
-            x.velocity = x.velocity + g.observer_velocity * error
+        if s.apart == 0:
+            x.position = x.position + g.observer_position * s.error
+            x.velocity = x.velocity + g.observer_velocity * s.error
     else:
-        x.position = x.position + g.observer_position * error
-        x.velocity = x.velocity + g.observer_velocity * error
+        x.position = x.position + g.observer_position * s.error
+        x.velocity = x.velocity + g.observer_velocity * s.error
     if has.motor_sensor:
-        x.motor_velocity = x.motor_velocity + g.observer_velocity * error
-        if apart != 0:
-            x.gap = clip(x.gap + g.observer_position * error, 0.5 * p.backlash_gap)
-    elif apart == 0:
-        x.motor_velocity = x.motor_velocity + g.observer_velocity * error
+        x.motor_velocity = x.motor_velocity + g.observer_velocity * s.error
+        if s.apart != 0:
+            x.gap = clip(x.gap + g.observer_position * s.error, 0.5 * p.backlash_gap)
+    elif s.apart == 0:
+        x.motor_velocity = x.motor_velocity + g.observer_velocity * s.error
     else:
-        x.gap = clip(x.gap - g.observer_position * error, 0.5 * p.backlash_gap)
+        x.gap = clip(x.gap - g.observer_position * s.error, 0.5 * p.backlash_gap)
     if m.holding == 0.0 or m.crossings >= 6.0:
-        m.disturbance = m.disturbance + g.observer_disturbance * error
+        m.disturbance = m.disturbance + g.observer_disturbance * s.error
     p.offset = m.nominal + m.disturbance
 
+
+def prediction(x, y, q, p, g, k):
+    """Move the state to the next sample, and a copy of it on to the moment at which the new command acts."""
     whole = int(g.whole)
     carry(x, p, k, q, whole, g)
-    for s in range(len(x)):
-        y[s] = x[s]
+    for i in range(len(x)):
+        y[i] = x[i]
     for j in range(whole):
         carry(y, p, k, q, whole - 1 - j, g)
     if g.part > 0.0:
         for _ in range(int(g.pieces)):
             step(y, p, k, q[0], g.part / g.pieces)
+    return 0.0
 
+
+def reference_ahead(m, g, reference, speed, s):
+    """The reference at that moment: goal, pace, rise and jerk are its position, speed, acceleration and jerk."""
     ahead = g.sample_time * (1.0 + g.whole) + g.part
     # The lesser of two jerks in a row: a jump of the acceleration is none that goes on.
-    fresh = (acceleration - m.acceleration) / g.sample_time
-    jerk = 0.0
+    fresh = (s.acceleration - m.acceleration) / g.sample_time
+    s.jerk = 0.0
     if fresh * m.jerk > 0.0:
-        jerk = m.jerk
-        if fresh * fresh < jerk * jerk:
-            jerk = fresh
-    m.acceleration = acceleration
+        s.jerk = m.jerk
+        if fresh * fresh < s.jerk * s.jerk:
+            s.jerk = fresh
+    m.acceleration = s.acceleration
     m.jerk = fresh
-    goal = reference + ahead * (speed + ahead * (0.5 * acceleration + ahead * jerk / 6.0))
-    pace = speed + ahead * (acceleration + 0.5 * ahead * jerk)
-    rise = acceleration + ahead * jerk
+    s.goal = reference + ahead * (speed + ahead * (0.5 * s.acceleration + ahead * s.jerk / 6.0))
+    s.pace = speed + ahead * (s.acceleration + 0.5 * ahead * s.jerk)
+    s.rise = s.acceleration + ahead * s.jerk
 
-    total = 1.0 + mass(y.position, y.time, k.payload, p)
-    turn = turning(y.position, y, p)
-    pull = turn + pulling(y.position, y.velocity, y, k, p)
-    resist = drag(y.position, y.velocity, p)
-    emf = 0.0
-    if has.viscous_friction:
-        emf = p.viscous_friction * y.motor_velocity / p.input_gain
 
-    away = goal - y.position
-    side = 1.0
-    if away < 0.0:
-        side = -1.0
-    held = grip(y.position, 0.0, side, 0.0, y.time, p)
-    most = -side * p.input_gain * drive(-side * g.limit, 0.0, y.heat, y.position + y.gap, p)
-    spare = g.braking * (most - side * pull + held) / total + side * rise
-    least = 0.05 * most / total
+def plant_ahead(y, p, k, s):
+    """Inertia and torques at that moment."""
+    s.total = 1.0 + mass(y.position, y.time, k.payload, p)
+    s.turn = turning(y.position, y, p)
+    s.pull = s.turn + pulling(y.position, y.velocity, y, k, p)
+    s.resist = drag(y.position, y.velocity, p)
+    s.emf = back_emf(y.motor_velocity, p)
+
+
+def wished_acceleration(y, p, g, s):
+    """The acceleration that brings the link to the reference, no faster than it can brake."""
+    s.away = s.goal - y.position
+    s.side = 1.0
+    if s.away < 0.0:
+        s.side = -1.0
+    s.held = dry_friction(y.position, 0.0, s.side, 0.0, y.time, p)
+    most = -s.side * p.input_gain * drive(-s.side * g.limit, 0.0, y.heat, y.position + y.gap, p)
+    spare = g.braking * (most - s.side * s.pull + s.held) / s.total + s.side * s.rise
+    least = 0.05 * most / s.total
     if spare < least:
         spare = least
-    closing = approach(away, spare, g)
-    wish = rise + g.velocity_gain * (closing + pace - y.velocity)
+    s.closing = approach(s.away, spare, g)
+    s.wish = s.rise + g.velocity_gain * (s.closing + s.pace - y.velocity)
+
+
+def hold(y, m, g, speed, s):
+    """Leave a loop alone that has come to rest near its goal and would hunt across the gap."""
     # Where neither load nor friction holds the flank, a loop that has come to rest near its goal had better leave it.
     quiet = 0.0
-    if clip(pull, g.hunting - held) == pull and clip(y.velocity, g.rest_speed) == y.velocity:
-        if speed == 0.0 and acceleration == 0.0:
+    if clip(s.pull, g.hunting - s.held) == s.pull and clip(y.velocity, g.rest_speed) == y.velocity:
+        if speed == 0.0 and s.acceleration == 0.0:
             quiet = 1.0
     # Three swings across the gap at rest are hunting, whatever should have held it.
     if m.crossings >= 6.0:
         quiet = 1.0
-    if side * away > 2.0 * g.tolerance:
+    if s.side * s.away > 2.0 * g.tolerance:
         m.holding = 0.0
-    elif side * away < g.tolerance and quiet > 0.0:
+    elif s.side * s.away < g.tolerance and quiet > 0.0:
         m.holding = 1.0
     if m.holding > 0.0:
-        closing = 0.0
+        s.closing = 0.0
         # The load is held up; what hunts is gently braked: without the pull to the goal little keeps it swinging.
-        wish = resist / total
+        s.wish = s.resist / s.total
         if m.crossings >= 6.0:
-            wish = wish - g.calming * y.velocity
+            s.wish = s.wish - g.calming * y.velocity
 
-    heading = clip(2.0 * y.velocity / g.rest_speed, 2.0) + clip((pace + closing) / g.rest_speed, 1.0)
+
+def needed_torque(y, p, g, s):
+    """The torque that gives the wished acceleration, friction overcome."""
+    heading = clip(2.0 * y.velocity / g.rest_speed, 2.0) + clip((s.pace + s.closing) / g.rest_speed, 1.0)
     heading = clip(heading, 1.0)
     # The teeth move the link, and carry what holds it.
-    mass_l = total - 0.5
+    mass_l = s.total - 0.5
     share = 0.5
     dry = 0.5
     if has.backlash:
-        mass_l = total - p.motor_share
+        mass_l = s.total - p.motor_share
         share = 1.0 - p.friction_share
         dry = 1.0 - p.dry_share
-    through = mass_l * wish - share * resist - (pull - turn)
-    stiction = friction(y.position, y.velocity, heading, through, dry, y.time, p)
-    torque = total * wish - pull - resist + stiction
+    through = mass_l * s.wish - share * s.resist - (s.pull - s.turn)
+    s.stiction = friction(y.position, y.velocity, heading, through, dry, y.time, p)
+    s.torque = s.total * s.wish - s.pull - s.resist + s.stiction
+
+
+def led_torque(y, p, k, g, s):
+    """The torque that brings the acceleration to the wished one through a lag, in time."""
+    # The acceleration that the lag's state gives now, and what it would take to change it in time.
+    acting = behind_lag(y.lag, p)
+    current = (p.input_gain * acting + s.pull + s.resist - s.stiction) / s.total
+    jump = s.wish + g.acceleration_gain * (s.rise - current) - current + p.lag_time * s.jerk
+    moved = 0.25 * g.sample_time
+    place = y.position + moved * y.velocity
+    reached = y.velocity + moved * current
+    later = turning(place, y, p) + pulling(place, reached, y, k, p) + drag(place, reached, p)
+    s.torque = p.input_gain * acting + s.total * jump - p.lag_time * (later - s.pull - s.resist) / moved
+
+
+def sample(x, y, m, q, p, g, k, reference, speed, acceleration, measured):
+    """One sample: correct, predict, decide. Returns the command to be applied from the next sample on."""
+    innovation(x, m, p, g, measured, s)
+    crossings(x, m, p, reference, s)
+    observer(x, m, p, g, s)
+    prediction(x, y, q, p, g, k)
+    reference_ahead(m, g, reference, speed, s)
+    plant_ahead(y, p, k, s)
+    wished_acceleration(y, p, g, s)
+    hold(y, m, g, speed, s)
+    needed_torque(y, p, g, s)
     if has.motor_lag:
-        # The acceleration that the lag's state gives now, and what it would take to change it in time.
-        acting = y.lag
-        if has.dead_band:
-            acting = beyond(y.lag, p.lag_dead_band * p.dead_band_forward, p.lag_dead_band * p.dead_band_reverse)
-        current = (p.input_gain * acting + pull + resist - stiction) / total
-        jump = wish + g.acceleration_gain * (rise - current) - current + p.lag_time * jerk
-        moved = 0.25 * g.sample_time
-        place = y.position + moved * y.velocity
-        reached = y.velocity + moved * current
-        later = turning(place, y, p) + pulling(place, reached, y, k, p) + drag(place, reached, p)
-        torque = p.input_gain * acting + total * jump - p.lag_time * (later - pull - resist) / moved
+        led_torque(y, p, k, g, s)
     command = clip(invert(torque / p.input_gain, emf, y.heat, y.position + y.gap, p, g), g.limit)
 
     for j in range(len(q) - 1):
@@ -353,7 +397,11 @@ def follow(time, place, pace, rise, z, plant, kp, longest, x, y, m, q, p, g, k, 
     return 0.0
 
 
-FUNCTIONS = (answer, invert, clip, friction, approach, carry, turning, pulling, sample)
+#: The functions and the sections of `sample`.
+FUNCTIONS = (
+    answer, invert, clip, friction, approach, carry, turning, pulling, prediction, innovation, crossings, observer,
+    reference_ahead, plant_ahead, wished_acceleration, hold, needed_torque, led_torque, sample,
+)  # fmt: skip
 
 
 class _Name(ast.NodeTransformer):

@@ -1,7 +1,8 @@
 """The loops around the stepper: one recording through the model, with and without derivatives.
 
 Plain Python in the stepper's language plus arrays; `twin.simulation.kernel` compiles this text together with the
-generated functions, whose names it uses freely.
+generated functions, whose names it uses freely. Functions that take `s` are sections of the loops
+(`twin.codegen.sections`).
 
 `predict` runs the model in innovation form. At each stamp it notes what the sensor should read. A Kalman filter's gains
 then move the state towards what the sensor did read; without noise it is a free run. The filter knows whether motor and
@@ -12,7 +13,7 @@ y * output - v * velocity, raised to the smallest that the loop gives, clipped a
 """
 
 # mypy: ignore-errors
-# ruff: noqa: F821
+# ruff: noqa: F821, F841
 
 from __future__ import annotations
 
@@ -97,6 +98,87 @@ def correcting(c, speed, of_motor, seen, gain):
     return spread
 
 
+def shares_in_filter(p, s):
+    """What of the axis the filter knows: half the gap, the motor's share of the inertia, where the sensor is."""
+    s.half = 0.0
+    s.share = 0.5
+    if has.backlash:
+        s.half = 0.5 * p.backlash_gap
+        s.share = p.motor_share
+    s.of_motor = False
+    if has.motor_sensor:
+        s.of_motor = True
+
+
+def expected_reading(x, p, speed, s):
+    """What the sensor should read."""
+    s.reading = x.position + sensor(x.position, x.gap, p)
+    if speed:
+        s.reading = x.velocity
+        if has.motor_sensor:
+            s.reading = x.motor_velocity
+
+
+def limited_command(law, s):
+    """The loop's own command, raised to the least that it gives and clipped at the most."""
+    if s.u > 0.0 and s.u < law[4]:
+        s.u = law[4]
+    elif s.u < 0.0 and s.u > -law[4]:
+        s.u = -law[4]
+    s.u = min(max(s.u, -law[3]), law[3])
+
+
+def prior(time, noise, c, x, p, s):
+    """Move the covariance on to this stamp, and say whether the silence before it was too long."""
+    if s.i > 0:
+        touching = abs(x.gap) >= s.half * (1.0 - 1e-9)
+        spreading(c, time[s.i] - time[s.i - 1], p.viscous_friction, noise[0], s.share, touching)
+    s.afresh = s.seen and time[s.i] - c[10] > noise[3]
+
+
+def begin_at_reading(time, noise, c, x, speed, s):
+    """After a silence: begin anew at what was read."""
+    if speed:
+        x.velocity = x.velocity + s.error
+        x.motor_velocity = x.motor_velocity + s.error
+    else:
+        x.position = x.position + s.error
+    s.error = 0.0
+    believing(noise, time[s.i], c)
+
+
+def corrected_states(time, c, gain, x, s):
+    """Move the state towards what was read."""
+    c[10] = time[s.i]
+    x.position = x.position + gain[0] * s.error
+    x.velocity = x.velocity + gain[1] * s.error
+    x.motor_velocity = x.motor_velocity + gain[3] * s.error
+    s.free = abs(x.gap) < s.half
+    if s.free:
+        # A correction brings the motor to the flank at most, never into it.
+        s.moved = x.gap + (gain[2] - gain[0]) * s.error
+        x.gap = min(max(s.moved, -s.half), s.half)
+
+
+def next_edge(time, command, s):
+    """The command that acts now, and until when; `at_edge` where that is for an edge of the command."""
+    while s.edge < s.i and time[s.edge + 1] + s.delay <= s.now + s.rounding:
+        s.edge += 1
+    s.until = s.end
+    s.at_edge = False
+    if s.edge < s.i and time[s.edge + 1] + s.delay < s.end - s.rounding:
+        s.until = time[s.edge + 1] + s.delay
+        s.at_edge = True
+    s.acting = command[s.edge]
+    s.driven = True
+    if time[s.edge] + s.delay > s.now + s.rounding:
+        s.acting = 0.0
+        s.driven = False
+        if time[s.edge] + s.delay < s.until:
+            s.until = time[s.edge] + s.delay
+            s.at_edge = True
+
+
 def predict(time, command, measured, noise, speed, closed, law, x, p, k, longest, predicted, spread, pull, states):
     """Fill `predicted` and `spread` (N,) and, where they have rows, `pull` (N,) and `states` (N, states).
 
@@ -107,18 +189,10 @@ def predict(time, command, measured, noise, speed, closed, law, x, p, k, longest
     x = numbers(x)
     p = numbers(p)
     k = numbers(k)
-    density = noise[0]
     c = np.empty(11)
     gain = np.empty(4)
     believing(noise, time[0], c)
-    half = 0.0
-    share = 0.5
-    if has.backlash:
-        half = 0.5 * p.backlash_gap
-        share = p.motor_share
-    of_motor = False
-    if has.motor_sensor:
-        of_motor = True
+    shares_in_filter(p, s)
     edge = 0
     delay = 0.0
     if has.input_delay:
@@ -126,64 +200,34 @@ def predict(time, command, measured, noise, speed, closed, law, x, p, k, longest
     # An edge within rounding of a stamp is on it: a piece of 1e-16 s would only upset what sticks.
     rounding = 1e-6 * longest
     for i in range(count):
-        reading = x.position + sensor(x.position, x.gap, p)
-        if speed:
-            reading = x.velocity
-            if has.motor_sensor:
-                reading = x.motor_velocity
+        expected_reading(x, p, speed, s)
         predicted[i] = reading
         if len(states) > 0:
-            for s in range(states.shape[1]):
-                states[i, s] = x[s]
+            for state in range(states.shape[1]):
+                states[i, state] = x[state]
         if closed:
             u = law[0] * command[i] - law[1] * reading - law[2] * x.velocity
-            if u > 0.0 and u < law[4]:
-                u = law[4]
-            elif u < 0.0 and u > -law[4]:
-                u = -law[4]
-            command[i] = min(max(u, -law[3]), law[3])
+            limited_command(law, s)
+            command[i] = u
         error = measured[i] - reading
         seen = error == error
         spread[i] = 1.0
-        if density > 0.0:
-            if i > 0:
-                touching = abs(x.gap) >= half * (1.0 - 1e-9)
-                spreading(c, time[i] - time[i - 1], p.viscous_friction, density, share, touching)
-            if seen and time[i] - c[10] > noise[3]:
+        if noise[0] > 0.0:
+            prior(time, noise, c, x, p, s)
+            if afresh:
                 predicted[i] = np.nan
-                if speed:
-                    x.velocity = x.velocity + error
-                    x.motor_velocity = x.motor_velocity + error
-                else:
-                    x.position = x.position + error
-                error = 0.0
-                believing(noise, time[i], c)
+                begin_at_reading(time, noise, c, x, speed, s)
             spread[i] = correcting(c, speed, of_motor, seen, gain)
             if len(pull) > 0:
                 pull[i] = (1.0 - share) * gain[1] + share * gain[3]
             if seen:
-                c[10] = time[i]
-                x.position = x.position + gain[0] * error
-                x.velocity = x.velocity + gain[1] * error
-                x.motor_velocity = x.motor_velocity + gain[3] * error
-                if abs(x.gap) < half:
-                    # A correction brings the motor to the flank at most, never into it.
-                    x.gap = min(max(x.gap + (gain[2] - gain[0]) * error, -half), half)
+                corrected_states(time, c, gain, x, s)
         if i == count - 1:
             break
         now = time[i]
         end = time[i + 1]
         while now < end:
-            while edge < i and time[edge + 1] + delay <= now + rounding:
-                edge += 1
-            until = end
-            if edge < i and time[edge + 1] + delay < end - rounding:
-                until = time[edge + 1] + delay
-            acting = command[edge]
-            if time[edge] + delay > now + rounding:
-                acting = 0.0
-                if time[edge] + delay < until:
-                    until = time[edge] + delay
+            next_edge(time, command, s)
             span = until - now
             pieces = 1
             if span > longest:
@@ -198,28 +242,85 @@ def predict(time, command, measured, noise, speed, closed, law, x, p, k, longest
     return 0.0
 
 
+def reading_and_slope(x, xd, p, pd, k, speed, s):
+    """What the sensor should read, and its derivative."""
+    offset, d_offset = sensor_t(x.position, row(xd, 0), x.gap, row(xd, 2), x, xd, p, pd, k)
+    s.reading = x.position + offset
+    s.d_reading = row(xd, 0) + d_offset
+    if speed:
+        s.reading = x.velocity
+        s.d_reading = row(xd, 1)
+        if has.motor_sensor:
+            s.reading = x.motor_velocity
+            s.d_reading = row(xd, 3)
+
+
+def command_and_slope(command, commands, law, x, xd, s):
+    """The loop's own command, and its derivative: none where it is at a limit."""
+    s.u = law[0] * command[s.i] - law[1] * s.reading - law[2] * x.velocity
+    put(commands, s.i, -law[1] * s.d_reading - law[2] * row(xd, 1))
+    if s.u > law[3] or s.u < -law[3] or (s.u < law[4] and s.u > -law[4]):
+        put(commands, s.i, zero())
+    limited_command(law, s)
+    command[s.i] = s.u
+
+
+def begin_slopes_at_reading(xd, speed, s):
+    """The derivative where the filter begins anew."""
+    if speed:
+        put(xd, 1, row(xd, 1) - s.d_reading)
+        put(xd, 3, row(xd, 3) - s.d_reading)
+    else:
+        put(xd, 0, row(xd, 0) - s.d_reading)
+    s.d_reading = zero()
+
+
+def corrected_slopes(gain, xd, s):
+    """The derivative of what `corrected_states` does, gains apart."""
+    put(xd, 0, row(xd, 0) - gain[0] * s.d_reading)
+    put(xd, 1, row(xd, 1) - gain[1] * s.d_reading)
+    put(xd, 3, row(xd, 3) - gain[3] * s.d_reading)
+    if s.free:
+        put(xd, 2, row(xd, 2) - (gain[2] - gain[0]) * s.d_reading)
+        if s.moved > s.half:
+            put(xd, 2, s.d_half)
+        if s.moved < -s.half:
+            put(xd, 2, -1.0 * s.d_half)
+
+
+def advance_with_slopes(time, command, commands, closed, longest, x, xd, p, pd, k, s):
+    """Move state and derivative from this stamp to the next."""
+    s.now = time[s.i]
+    s.end = time[s.i + 1]
+    d_now = zero()
+    while s.now < s.end:
+        next_edge(time, command, s)
+        d_until = zero()
+        if s.at_edge:
+            d_until = s.d_delay
+        d_acting = zero()
+        if closed and s.driven:
+            d_acting = row(commands, s.edge)
+        span = s.until - s.now
+        d_span = d_until - d_now
+        pieces = 1
+        if span > longest:
+            pieces = int(span / longest + 0.999999)
+            span = span / pieces
+            d_span = (1.0 / pieces) * d_span
+        for _ in range(pieces):
+            if has.common:
+                step_t_common(s.acting, d_acting, span, zero(), x, xd, p, pd, k)
+            else:
+                step_t(s.acting, d_acting, span, d_span, x, xd, p, pd, k)
+        s.now = s.until
+        d_now = d_until
+
+
 def predict_t(
-    time,
-    command,
-    measured,
-    noise,
-    speed,
-    closed,
-    law,
-    x,
-    xd,
-    p,
-    pd,
-    k,
-    longest,
-    begin,
-    c,
-    predicted,
-    spread,
-    slopes,
-    first,
-    commands,
-):
+    time, command, measured, noise, speed, closed, law, x, xd, p, pd, k, longest, begin, c, predicted, spread, slopes,
+    first, commands,
+):  # fmt: skip
     """As `predict` from stamp `begin` on for as many as `predicted` has room, with the derivative of what the sensor
     should read in row `i * stride + first` of `slopes`. `x`, `xd` and `c` are left as they are for the next stamp.
 
@@ -233,20 +334,13 @@ def predict_t(
     states = len(xd)
     xd = numbers(xd)
     pd = numbers(pd)
-    density = noise[0]
     gain = np.empty(4)
     if begin == 0:
         believing(noise, time[0], c)
-    half = 0.0
+    shares_in_filter(p, s)
     d_half = zero()
-    share = 0.5
     if has.backlash:
-        half = 0.5 * p.backlash_gap
         d_half = 0.5 * row(pd, index.backlash_gap)
-        share = p.motor_share
-    of_motor = False
-    if has.motor_sensor:
-        of_motor = True
     edge = 0
     delay = 0.0
     rounding = 1e-6 * longest
@@ -255,102 +349,36 @@ def predict_t(
         delay = p.delay
         d_delay = row(pd, index.delay)
     for i in range(begin, begin + len(predicted)):
-        offset, d_offset = sensor_t(x.position, row(xd, 0), x.gap, row(xd, 2), x, xd, p, pd, k)
-        reading = x.position + offset
-        d_reading = row(xd, 0) + d_offset
-        if speed:
-            reading = x.velocity
-            d_reading = row(xd, 1)
-            if has.motor_sensor:
-                reading = x.motor_velocity
-                d_reading = row(xd, 3)
+        reading_and_slope(x, xd, p, pd, k, speed, s)
         predicted[i - begin] = reading
         put(slopes, (i - begin) * slopes.shape[1] + first, d_reading)
         if closed:
-            u = law[0] * command[i] - law[1] * reading - law[2] * x.velocity
-            put(commands, i, -law[1] * d_reading - law[2] * row(xd, 1))
-            if u > law[3] or u < -law[3] or (u < law[4] and u > -law[4]):
-                put(commands, i, zero())
-            if u > 0.0 and u < law[4]:
-                u = law[4]
-            elif u < 0.0 and u > -law[4]:
-                u = -law[4]
-            command[i] = min(max(u, -law[3]), law[3])
+            command_and_slope(command, commands, law, x, xd, s)
         error = measured[i] - reading
         seen = error == error
         spread[i - begin] = 1.0
-        if density > 0.0:
-            if i > 0:
-                touching = abs(x.gap) >= half * (1.0 - 1e-9)
-                spreading(c, time[i] - time[i - 1], p.viscous_friction, density, share, touching)
-            if seen and time[i] - c[10] > noise[3]:
+        if noise[0] > 0.0:
+            prior(time, noise, c, x, p, s)
+            if afresh:
                 predicted[i - begin] = np.nan
-                if speed:
-                    x.velocity = x.velocity + error
-                    x.motor_velocity = x.motor_velocity + error
-                    put(xd, 1, row(xd, 1) - d_reading)
-                    put(xd, 3, row(xd, 3) - d_reading)
-                else:
-                    x.position = x.position + error
-                    put(xd, 0, row(xd, 0) - d_reading)
-                error = 0.0
-                d_reading = zero()
-                believing(noise, time[i], c)
+                begin_at_reading(time, noise, c, x, speed, s)
+                begin_slopes_at_reading(xd, speed, s)
             spread[i - begin] = correcting(c, speed, of_motor, seen, gain)
             if seen:
-                c[10] = time[i]
-                x.position = x.position + gain[0] * error
-                x.velocity = x.velocity + gain[1] * error
-                x.motor_velocity = x.motor_velocity + gain[3] * error
-                put(xd, 0, row(xd, 0) - gain[0] * d_reading)
-                put(xd, 1, row(xd, 1) - gain[1] * d_reading)
-                put(xd, 3, row(xd, 3) - gain[3] * d_reading)
-                if abs(x.gap) < half:
-                    moved = x.gap + (gain[2] - gain[0]) * error
-                    x.gap = min(max(moved, -half), half)
-                    put(xd, 2, row(xd, 2) - (gain[2] - gain[0]) * d_reading)
-                    if moved > half:
-                        put(xd, 2, d_half)
-                    if moved < -half:
-                        put(xd, 2, -1.0 * d_half)
+                corrected_states(time, c, gain, x, s)
+                corrected_slopes(gain, xd, s)
         if i == count - 1:
             break
-        now = time[i]
-        end = time[i + 1]
-        d_now = zero()
-        while now < end:
-            while edge < i and time[edge + 1] + delay <= now + rounding:
-                edge += 1
-            until = end
-            d_until = zero()
-            if edge < i and time[edge + 1] + delay < end - rounding:
-                until = time[edge + 1] + delay
-                d_until = d_delay
-            acting = command[edge]
-            d_acting = zero()
-            if closed:
-                d_acting = row(commands, edge)
-            if time[edge] + delay > now + rounding:
-                acting = 0.0
-                d_acting = zero()
-                if time[edge] + delay < until:
-                    until = time[edge] + delay
-                    d_until = d_delay
-            span = until - now
-            d_span = d_until - d_now
-            pieces = 1
-            if span > longest:
-                pieces = int(span / longest + 0.999999)
-                span = span / pieces
-                d_span = (1.0 / pieces) * d_span
-            for _ in range(pieces):
-                if has.common:
-                    step_t_common(acting, d_acting, span, zero(), x, xd, p, pd, k)
-                else:
-                    step_t(acting, d_acting, span, d_span, x, xd, p, pd, k)
-            now = until
-            d_now = d_until
+        advance_with_slopes(time, command, commands, closed, longest, x, xd, p, pd, k, s)
         # At rest the filter forgets what the parameters have done before, by a factor with each reading.
-        for s in range(states):
-            put(xd, s, settled(row(xd, s)))
+        for state in range(states):
+            put(xd, state, settled(row(xd, state)))
     return 0.0
+
+
+#: What the kernel compiles: functions, and sections of the two loops.
+LOOPS = (
+    believing, spreading, correcting,
+    shares_in_filter, expected_reading, limited_command, prior, begin_at_reading, corrected_states, next_edge, predict,
+    reading_and_slope, command_and_slope, begin_slopes_at_reading, corrected_slopes, advance_with_slopes, predict_t,
+)  # fmt: skip

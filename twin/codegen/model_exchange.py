@@ -1,6 +1,7 @@
 """The axis for an outside solver: rates under fixed modes, and the events at which the modes change.
 
-In the stepper's language, with the stepper's laws. A body slides forwards (mode 1), backwards (-1) or is held
+In the stepper's language, with the laws of the stations. Functions that take `s` are sections of `rates`
+(`twin.codegen.sections`). A body slides forwards (mode 1), backwards (-1) or is held
 (0); the solver finds the zeros of the margins, and `settle` then chooses anew. Rigid contact and dead time are
 not expressed here: structures that have them are for co-simulation only.
 
@@ -20,7 +21,25 @@ from dataclasses import replace
 from functools import cache
 
 from twin.codegen import c, directional_derivative
-from twin.codegen.python import Numbering, numbering, resolve
+from twin.codegen.python import Numbering, module, numbering, resolve
+from twin.model.stations import (
+    back_emf,
+    before_lag,
+    behind_lag,
+    bend_rate,
+    carried,
+    dry_friction,
+    first_order,
+    heating,
+    mesh_damping,
+    mesh_stiffness,
+    on_link,
+    on_motor,
+    ringing_rate,
+    ringing_ratio,
+    tension,
+    tugging,
+)
 from twin.model.stepper import STATES, Structure
 
 #: What stands behind the states: their rates, the modes, the margins whose zeros are events, and torques.
@@ -95,117 +114,111 @@ def chosen(torque, forward, reverse):
     return mode
 
 
-def rates(x, p, k, command):
-    """Fill the rates, margins and torques from the states and modes."""
-    half = 0.0
-    mass_m = 0.0
-    share = 0.0
-    dry = 0.0
-    turned = 0.0
-    speed_m = x.velocity
-    wound = 0.0
+def two_bodies(x, p, k, s):
+    """The shares of motor and link, and the torque wound up between them; without backlash all is link."""
+    s.half = 0.0
+    s.mass_m = 0.0
+    s.share = 0.0
+    s.dry = 0.0
+    s.turned = 0.0
+    s.speed_m = x.velocity
+    s.wound = 0.0
     if has.backlash:
-        half = 0.5 * p.backlash_gap
-        mass_m = p.motor_share
-        share = p.friction_share
-        dry = p.dry_share
-        turned = p.shaft_share
-        speed_m = x.motor_velocity
-        rate = 0.0
-        ratio = 0.0
-        if has.tooth_compliance:
-            rate = 6.283185307179586 * p.tooth_frequency
-            ratio = p.tooth_damping
-        if has.joint_elasticity:
-            rate = 6.283185307179586 * p.joint_frequency
-            ratio = p.joint_damping
+        s.half = 0.5 * p.backlash_gap
+        s.mass_m = p.motor_share
+        s.share = p.friction_share
+        s.dry = p.dry_share
+        s.turned = p.shaft_share
+        s.speed_m = x.motor_velocity
         side = 0
-        if half <= 0.0:
+        if s.half <= 0.0:
             side = 2
-        elif x.gap > half:
+        elif x.gap > s.half:
             side = 1
-        elif x.gap < -half:
+        elif x.gap < -s.half:
             side = -1
-        stiffness = rate * rate * mass_m * (1.0 - mass_m)
-        damping = 2.0 * ratio * rate * mass_m * (1.0 - mass_m)
-        wound = tension(x.gap, speed_m - x.velocity, side, half, stiffness, damping)
-    mass_l = 1.0 - mass_m
+        rate = ringing_rate(p)
+        ratio = ringing_ratio(p)
+        stiffness = mesh_stiffness(rate, s.mass_m)
+        damping = mesh_damping(ratio, rate, s.mass_m)
+        s.wound = tension(x.gap, s.speed_m - x.velocity, side, s.half, stiffness, damping)
+    s.mass_l = 1.0 - s.mass_m
     if has.mass:
         added = mass(x.position, x.time, k.payload, p)
-        mass_l = mass_l + added
+        s.mass_l = s.mass_l + added
 
-    emf = 0.0
-    if has.supply_sag:
-        emf = p.viscous_friction * speed_m / p.input_gain
+
+def drive_rates(x, p, s):
+    """Torque of the drive, and the rates of heat and lag."""
+    emf = back_emf(s.speed_m, p)
     if has.thermal_fade:
-        emf = p.viscous_friction * speed_m / p.input_gain
-        cold = drive(command, emf, 0.0, x.position + x.gap, p)
-        x.rate_heat = (((cold - p.fade_emf * emf) / p.fade_reference) ** 2 - x.heat) / p.fade_time
-    acting = drive(command, emf, x.heat, x.position + x.gap, p)
+        cold = drive(s.command, emf, 0.0, x.position + x.gap, p)
+        settled = heating(cold, emf, p)
+        warms = first_order(settled, x.heat, p.fade_time)
+        x.rate_heat = warms
+    acting = drive(s.command, emf, x.heat, x.position + x.gap, p)
     if has.motor_lag:
-        fed = acting
-        acting = x.lag
-        if has.dead_band:
-            kept = clipped(command, p.dead_band_forward, p.dead_band_reverse)
-            fed = fed + p.lag_dead_band * kept
-            acting = beyond(x.lag, p.lag_dead_band * p.dead_band_forward, p.lag_dead_band * p.dead_band_reverse)
-        x.rate_lag = (fed - x.lag) / p.lag_time
-    torque = p.input_gain * acting
-    pull = 0.0
+        fed = before_lag(acting, s.command, p)
+        follows = first_order(fed, x.lag, p.lag_time)
+        x.rate_lag = follows
+        acting = behind_lag(x.lag, p)
+    s.torque = p.input_gain * acting
+
+
+def torque_rates(x, p, k, s):
+    """Torques on motor and link, without dry friction, and the rate at which bristles bend."""
+    s.pull = 0.0
     if has.load:
-        pull = load(x.position, x.velocity, x.time, k.moment, p)
-    if has.shaft:
-        turn_m = shaft(x.position + x.gap, p)
-        turn_l = shaft(x.position, p)
-        torque = torque + turned * turn_m
-        pull = pull + (1.0 - turned) * turn_l
+        s.pull = load(x.position, x.velocity, x.time, k.moment, p)
     if has.bristle:
-        held = bristle(x.bend, p)
-        torque = torque + held
-        way = speed_m
-        if way < 0.0:
-            way = -way
-        x.rate_bend = (speed_m - way * x.bend) / p.presliding_travel
-    tug = 0.0
+        bends = bend_rate(s.speed_m, x.bend, p.presliding_travel)
+        x.rate_bend = bends
+    s.tug = 0.0
     if has.rider:
-        tug = tugging(x.ride, x.ride_velocity, p.flexible_load_stiffness, p.flexible_load_damping)
-        drawn = rider(tug, p)
-        pull = pull + drawn
-    forward = 0.0
-    reverse = 0.0
-    if has.grip:
-        if has.backlash:
-            through = wound
-        else:
-            # Where nothing tells motor and link apart each is half of the axis.
-            resist = drag(x.position, x.velocity, p)
-            through = ((torque + 0.5 * resist) * (mass_l - 0.5) - 0.5 * (pull + 0.5 * resist)) / mass_l
-        forward = grip(x.position, x.velocity, 1.0, through, x.time, p)
-        reverse = grip(x.position, x.velocity, -1.0, through, x.time, p)
-        if forward < 0.0:
-            forward = 0.0
-        if reverse < 0.0:
-            reverse = 0.0
-    x.forward_motor = dry * forward
-    x.reverse_motor = dry * reverse
-    x.forward_link = forward - x.forward_motor
-    x.reverse_link = reverse - x.reverse_motor
-    resist_l = drag(x.position, x.velocity, p)
-    x.push_link = pull + (1.0 - share) * resist_l + wound
+        s.tug = tugging(x.ride, x.ride_velocity, p.flexible_load_stiffness, p.flexible_load_damping)
+    s.resist_l = drag(x.position, x.velocity, p)
+    resist_m = s.resist_l
     if has.backlash:
-        resist_m = drag(x.position, speed_m, p)
-        x.push_motor = torque + share * resist_m - wound
+        resist_m = drag(x.position, s.speed_m, p)
+    push_m = on_motor(s.torque, resist_m, x.position + x.gap, x.bend, s.share, s.turned, p)
+    push_l = on_link(s.pull, s.resist_l, x.position, s.tug, s.share, s.turned, p)
+    x.push_motor = push_m - s.wound
+    x.push_link = push_l + s.wound
+    if has.backlash:
+        s.through = s.wound
     else:
-        x.push_link = x.push_link + torque
-    left_m = x.push_motor
-    left_l = x.push_link
+        # Each is half of the axis, as far as the teeth are concerned.
+        half_m = push_m + 0.5 * s.resist_l
+        half_l = push_l - 0.5 * s.resist_l
+        s.through = carried(half_m, half_l, 0.5, s.mass_l - 0.5, 1.0 / s.mass_l)
+        x.push_link = push_m + push_l
+
+
+def friction_rates(x, p, s):
+    """What dry friction leaves of the torques in the modes, and how far the bodies are within them."""
+    s.left_m = x.push_motor
+    s.left_l = x.push_link
     if has.grip:
-        left_m = left_over(x.push_motor, x.forward_motor, x.reverse_motor, x.mode_motor)
-        left_l = left_over(x.push_link, x.forward_link, x.reverse_link, x.mode_link)
-        within_m = margin(x.push_motor, x.forward_motor, x.reverse_motor, x.mode_motor, speed_m)
+        forward = dry_friction(x.position, x.velocity, 1.0, s.through, x.time, p)
+        reverse = dry_friction(x.position, x.velocity, -1.0, s.through, x.time, p)
+        x.forward_motor = s.dry * forward
+        x.reverse_motor = s.dry * reverse
+        x.forward_link = forward - x.forward_motor
+        x.reverse_link = reverse - x.reverse_motor
+        s.left_m = left_over(x.push_motor, x.forward_motor, x.reverse_motor, x.mode_motor)
+        s.left_l = left_over(x.push_link, x.forward_link, x.reverse_link, x.mode_link)
+        within_m = margin(x.push_motor, x.forward_motor, x.reverse_motor, x.mode_motor, s.speed_m)
         within_l = margin(x.push_link, x.forward_link, x.reverse_link, x.mode_link, x.velocity)
         x.margin_motor = within_m
         x.margin_link = within_l
+
+
+def rates(x, p, k, command):
+    """Fill the rates, margins and torques from the states and modes."""
+    two_bodies(x, p, k, s)
+    drive_rates(x, p, s)
+    torque_rates(x, p, k, s)
+    friction_rates(x, p, s)
     x.rate_position = x.velocity
     x.rate_velocity = left_l / mass_l
     x.rate_ride = x.ride_velocity
@@ -270,13 +283,16 @@ def _numbering(structure: Structure) -> Numbering:
 def _functions(structure: Structure) -> list[ast.FunctionDef]:
     """`rates`, `settle` and what they call, of a structure."""
     sticks = (left_over, margin, chosen) if "grip" in structure.slots else ()
-    text = "\n".join(textwrap.dedent(inspect.getsource(f)) for f in (*sticks, rates, settle))
+    written = (*sticks, two_bodies, drive_rates, torque_rates, friction_rates, rates, settle)
+    text = "\n".join(textwrap.dedent(inspect.getsource(f)) for f in written)
     return [f for f in resolve(text, _numbering(structure)).body if isinstance(f, ast.FunctionDef)]
 
 
 def write(structure: Structure) -> str:
     """C text beside the stepper's: `rates` and `settle`, both `double (double *x, p, k, double command)`."""
-    return c.text(_functions(structure))
+    tree = ast.Module([*module(structure).body, *_functions(structure)], [])
+    more = c.called_by(tree, "rates", "settle") - c.called_by(tree, *c.ROOTS)
+    return c.text(f for f in tree.body if isinstance(f, ast.FunctionDef) and f.name in more)
 
 
 @cache

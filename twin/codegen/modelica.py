@@ -9,14 +9,36 @@ from __future__ import annotations
 
 import html
 import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import sympy
 from sympy.printing.str import StrPrinter
 
 from twin.codegen.python import laws_by_slot
 from twin.effects.catalogue import pages
-from twin.model.equations import trace
+from twin.model.equations import expression, trace
 from twin.model.fitted_model import Model
+from twin.model.stations import (
+    angular,
+    back_emf,
+    before_lag,
+    behind_lag,
+    bend_rate,
+    carried,
+    dry_friction,
+    first_order,
+    heating,
+    mesh_damping,
+    mesh_stiffness,
+    on_link,
+    on_motor,
+    ringing_rate,
+    ringing_ratio,
+    tension,
+    tugging,
+)
 from twin.model.stepper import KNOWN
 from twin.model.variables import known_read
 
@@ -64,7 +86,20 @@ class _Printer(StrPrinter):  # type: ignore[misc]
     def _print_Min(self, expr: sympy.Expr) -> str:
         return self._nested("min", expr.args)
 
+    def _without_event(self, value: sympy.Expr, test: sympy.Expr, other: sympy.Expr) -> str:
+        """What turns at the zero of `other`, without an event there; "" for anything else."""
+        if not isinstance(test, sympy.StrictLessThan | sympy.StrictGreaterThan) or (test.lhs, test.rhs) != (other, 0):
+            return ""
+        below = isinstance(test, sympy.StrictLessThan)
+        if below and value == -other:
+            return f"abs({self._print(other)})"
+        return f"{'max' if below else 'min'}({self._print(other)}, 0)" if value.is_zero else ""
+
     def _print_Piecewise(self, expr: sympy.Expr) -> str:
+        if len(expr.args) == 2:
+            (value, test), (other, _) = expr.args
+            if short := self._without_event(value, test, other):
+                return short
         *cases, (last, _) = expr.args
         said = "".join(f"if {self._print(test)} then {self._print(value)} else " for value, test in cases)
         return f"({said}{self._print(last)})"
@@ -96,105 +131,230 @@ def _declare(kind: str, name: str, unit: str, meaning: str, value: str = "", mor
     return f"    {kind} {name}{f'({inside})' if inside else ''}{equal} {_text(meaning + remark)};"
 
 
-def _law(effect: str, given: dict[str, str]) -> str:
-    """A law with the model's own names in place of the slot's arguments."""
-    expression = trace(effect).expression
-    names = {s: sympy.Symbol(given.get(s.name, s.name).removeprefix("p.")) for s in expression.free_symbols}
+@dataclass
+class _Axis:
+    """The block that is being written: its model, declarations and equations."""
+
+    model: Model
+    declared: list[str] = field(default_factory=list)
+    equations: list[str] = field(default_factory=list)
+
+    def has(self, name: str) -> bool:
+        """Whether the structure contains an effect, or any law in a slot."""
+        return name in self.model.structure or name in self.model.structure.slots
+
+    @property
+    def two(self) -> bool:
+        """Whether motor and link are two bodies."""
+        return self.has("backlash")
+
+    @property
+    def speed(self) -> str:
+        """The motor's speed."""
+        return "motor_velocity" if self.two else "velocity"
+
+    def add(self, name: str, unit: str, meaning: str, equals: str) -> None:
+        """A variable and the equation that says what it equals."""
+        self.declared.append(_declare("Real", name, unit, meaning))
+        self.equations.append(f"{name} = {equals};")
+
+    def state(self, name: str, unit: str, meaning: str, rate: str) -> None:
+        """A variable that starts at rest, and its rate."""
+        self.declared.append(_declare("Real", name, unit, meaning, more=_RESTING))
+        self.equations.append(f"der({name}) = {rate};")
+
+    def station(self, function: Callable[..., Any], *arguments: sympy.Expr | str | float) -> str:
+        """A law between the stations: of names in the block, expressions, or numbers that decide which way it goes."""
+        return _printed(self.formula(function, *arguments))
+
+    def formula(self, function: Callable[..., Any], *arguments: sympy.Expr | str | float) -> sympy.Expr:
+        given = [sympy.Symbol(a, real=True) if isinstance(a, str) else a for a in arguments]
+        slots = {name: sympy.Symbol(name, real=True) for name in ("grip", "bristle", "rider")}
+        slots["shaft"] = sympy.Symbol("shaft_motor" if function is on_motor else "shaft_link", real=True)
+        return expression(function, self.model.structure, *given, slots=slots)
+
+    def sum(self, slot: str, given: dict[str, str]) -> str:
+        """The laws of a slot, with the names of the block in place of the slot's arguments."""
+        if self.model.holds_moments:
+            given = {"time": "(time + time_start)", **given}
+        laws = [f"({_law(i, given)})" for i in laws_by_slot(self.model.structure)[slot]]
+        return " + ".join(laws) or "0"
+
+
+def _printed(expression: sympy.Expr, given: Mapping[str, str] | None = None) -> str:
+    """A formula with the names of the block: parameters lose their prefix, others are as `given`."""
+    names = {
+        s: sympy.Symbol((given or {}).get(s.name, s.name).removeprefix("p."), real=True)
+        for s in expression.free_symbols
+    }
     return str(_Printer().doprint(expression.xreplace(names)))
 
 
-def _sum(model: Model, slot: str, given: dict[str, str]) -> str:
-    if model.holds_moments:
-        given = {"time": "(time + time_start)", **given}
-    laws = [f"({_law(i, given)})" for i in laws_by_slot(model.structure)[slot]]
-    return " + ".join(laws) or "0"
+def _law(effect: str, given: dict[str, str]) -> str:
+    """A law with the model's own names in place of the slot's arguments."""
+    return _printed(trace(effect).expression, given)
 
 
-def _drive(model: Model, x: str, u: str) -> tuple[list[str], list[str], str]:
-    """The chain from command to torque: declarations, equations and the name of what acts."""
-    declared, equations, has = [], [], model.structure.__contains__
-    acting = model.input_name
-    if has("input_delay"):
-        declared.append(_declare("Real", "arriving", u, "command after the dead time"))
-        equations.append(f"arriving = delay({acting}, delay_time);")
+#: Position and velocity of the link, as arguments of laws.
+_LINK = {"position": "position", "velocity": "velocity"}
+
+
+def _drive(axis: _Axis) -> None:
+    """The chain from command to torque."""
+    u, acting = axis.model.input_unit, axis.model.input_name
+    if axis.has("input_delay"):
+        axis.add("arriving", u, "command after the dead time", f"delay({acting}, delay_time)")
         acting = "arriving"
-    if has("supply_sag") or has("thermal_fade"):
-        speed = "motor_velocity" if has("backlash") else "velocity"
-        declared.append(_declare("Real", "emf", u, "back-EMF, as command"))
-        equations.append(f"emf = viscous_friction*{speed}/input_gain;")
+    if axis.has("supply_sag") or axis.has("thermal_fade"):
+        axis.add("emf", u, "back-EMF, as command", axis.station(back_emf, axis.speed))
     arriving = acting
-    for effect in laws_by_slot(model.structure)["drive"]:
+    for effect in laws_by_slot(axis.model.structure)["drive"]:
         if effect == "thermal_fade":
-            declared.append(_declare("Real", "heat", "1", "warming of the motor", more=_RESTING))
-            equations.append(f"der(heat) = ((({acting} - fade_emf*emf)/fade_reference)^2 - heat)/fade_time;")
+            settled = axis.formula(heating, acting, "emf")
+            axis.state("heat", "1", "warming of the motor", axis.station(first_order, settled, "heat", "fade_time"))
         name = f"after_{effect}"
-        declared.append(_declare("Real", name, u, f"command after {effect.replace('_', ' ')}"))
-        equations.append(f"{name} = {_law(effect, {'command': acting})};")
+        axis.add(name, u, f"command after {effect.replace('_', ' ')}", _law(effect, {"command": acting}))
         acting = name
-    if has("motor_lag"):
-        declared.append(_declare("Real", "lag", u, "command behind the lag", more=_RESTING))
-        kept, passed = "", "lag"
-        if has("dead_band"):
-            kept = f" + lag_dead_band*min(max({arriving}, -dead_band_reverse), dead_band_forward)"
-            passed = "max(lag - lag_dead_band*dead_band_forward, 0) + min(lag + lag_dead_band*dead_band_reverse, 0)"
-        equations.append(f"der(lag) = ({acting}{kept} - lag)/lag_time;")
-        declared.append(_declare("Real", "behind_lag", u, "command that acts behind the lag"))
-        equations.append(f"behind_lag = {passed};")
+    if axis.has("motor_lag"):
+        fed = axis.formula(before_lag, acting, arriving)
+        axis.state("lag", u, "command behind the lag", axis.station(first_order, fed, "lag", "lag_time"))
+        axis.add("behind_lag", u, "command that acts behind the lag", axis.station(behind_lag, "lag"))
         acting = "behind_lag"
-    declared.append(_declare("Real", "torque", f"{x}/s^2", "torque of the drive over inertia"))
-    equations.append(f"torque = input_gain*{acting};")
-    return declared, equations, acting
+    torque = f"{axis.model.axis_unit}/s^2"
+    axis.add("torque", torque, "torque of the drive over inertia", f"input_gain*{acting}")
 
 
-def _friction(body: str, speed: str, share: str, x: str) -> tuple[list[str], list[str]]:
-    """Dry friction on one body: a bristle that bends between -1 and 1 as the body moves by `presliding`."""
-    bend, f = f"bend_{body}", f"friction_{body}"
-    declared = [
-        _declare("Real", bend, "1", f"share of its dry friction that holds the {body}", "", _RESTING),
-        _declare("Real", f, f"{x}/s^2", f"dry friction on the {body} over inertia"),
+def _pushes(axis: _Axis) -> None:
+    """Torques on motor and link over inertia, without what the gears transmit and without dry friction."""
+    x = axis.model.axis_unit
+    torque = f"{x}/s^2"
+    axis.add("mass", "1", "inertia, in units of that of the axis", f"1 + {axis.sum('mass', _LINK)}")
+    axis.add("load", torque, "loads on the link over inertia", axis.sum("load", _LINK))
+    axis.add("resist_link", torque, "smooth resistance at the link's speed", axis.sum("drag", _LINK))
+    moved = {**_LINK, "velocity": axis.speed}
+    axis.add("resist_motor", torque, "smooth resistance at the motor's speed", axis.sum("drag", moved))
+    if axis.has("shaft"):
+        at_motor = {"position": "(position + gap)" if axis.two else "position"}
+        axis.add("shaft_motor", torque, "torques on the shaft, at the motor's place", axis.sum("shaft", at_motor))
+        axis.add("shaft_link", torque, "torques on the shaft, at the link's place", axis.sum("shaft", _LINK))
+    if axis.has("bristle"):
+        rate = axis.station(bend_rate, axis.speed, "bend", "presliding_travel")
+        axis.state("bend", "1", "how far friction is bent before it slides", rate)
+        axis.add("bristle", torque, "friction that is bent, on the motor", axis.sum("bristle", {}))
+    if axis.has("rider"):
+        axis.state("ride", x, "position of what rides on the link minus that of the link", "ride_velocity")
+        axis.state("ride_velocity", f"{x}/s", "its velocity minus that of the link", "-der(velocity) - tug")
+        spring, damper = "flexible_load_stiffness", "flexible_load_damping"
+        drawn = axis.station(tugging, "ride", "ride_velocity", spring, damper)
+        axis.add("tug", torque, "acceleration by which it is drawn back", drawn)
+        axis.add("rider", torque, "what rides along, on the link", axis.sum("rider", {}))
+    # Where nothing tells them apart all is link.
+    shares = ("friction_share", "shaft_share") if axis.two else (0, 0)
+    on_it = axis.station(on_motor, "torque", "resist_motor", "position", "bend", *shares)
+    axis.add("push_motor", torque, "torques on the motor over inertia", on_it)
+    on_it = axis.station(on_link, "load", "resist_link", "position", "tug", *shares)
+    axis.add("push_link", torque, "torques on the link over inertia", on_it)
+
+
+def _transmitted(axis: _Axis) -> str:
+    """What the gears transmit, as dry friction feels it."""
+    mass = sympy.Symbol("mass", real=True)
+    if not axis.two:
+        # Each body is half of the axis, as far as the teeth are concerned.
+        push_m, push_l, resist = (sympy.Symbol(n, real=True) for n in ("push_motor", "push_link", "resist_link"))
+        half = sympy.Rational(1, 2)
+        return axis.station(carried, push_m + half * resist, push_l - half * resist, half, mass - half, 1 / mass)
+    if axis.model.structure.elastic:
+        return "contact"
+    # Rigid teeth knock without friction: what holds them together counts, not the blow of the spring instead.
+    share = sympy.Symbol("motor_share", real=True)
+    bearing = axis.station(carried, "push_motor", "push_link", share, mass - share, 1 / mass)
+    axis.add("bearing", f"{axis.model.axis_unit}/s^2", "torque that makes motor and link move as one", bearing)
+    return (
+        "(if backlash_gap <= 0 then bearing elseif gap > 0.5*backlash_gap then max(bearing, 0)"
+        " elseif gap < -0.5*backlash_gap then min(bearing, 0) else 0)"
+    )
+
+
+def _dry_friction(axis: _Axis) -> None:
+    """Size of the dry friction each way, and on each body a bristle that bends as the body moves by `presliding`."""
+    x = axis.model.axis_unit
+    transmitted = _transmitted(axis)
+    axis.declared += [
+        "    // Dry friction holds exactly in the identified model; here the body gives by `presliding` at most.",
+        _declare("constant Real", "presliding", x, "travel until friction is full", repr(PRESLIDING)),
+        _declare("constant Real", "bristle_time", "s", "damping of the bristle", repr(BRISTLE_TIME)),
     ]
-    equations = [
-        f"presliding*der({bend}) = {speed} - abs({speed})*{bend};",
-        f"{f} = {share}*(if {bend} >= 0 then grip_forward else grip_reverse)*({bend} + bristle_time*der({bend}));",
-    ]
-    return declared, equations
+    for name, direction, way in (("grip_forward", "1.0", "forwards"), ("grip_reverse", "-1.0", "backwards")):
+        given = {**_LINK, "direction": direction, "transmitted": transmitted}
+        size = axis.formula(dry_friction, "position", "velocity", float(direction), "transmitted", "time")
+        text = _printed(size, {"grip": axis.sum("grip", given)})
+        axis.add(name, f"{x}/s^2", f"size of the dry friction {way}", text)
+    bodies = (("motor", "motor_velocity", "dry_share*"), ("link", "velocity", "(1 - dry_share)*"))
+    for body, speed, share in bodies if axis.two else (("link", "velocity", ""),):
+        bend = f"bend_{body}"
+        rate = axis.station(bend_rate, speed, bend, "presliding")
+        axis.state(bend, "1", f"share of its dry friction that holds the {body}", rate)
+        held = f"(if {bend} >= 0 then grip_forward else grip_reverse)*({bend} + bristle_time*der({bend}))"
+        axis.add(f"friction_{body}", f"{x}/s^2", f"dry friction on the {body} over inertia", f"{share}{held}")
 
 
-def _transmission(model: Model, x: str) -> tuple[list[str], list[str]]:
-    """Two bodies and the torque between them across the gap."""
-    structure = model.structure
-    declared = [
-        _declare("Real", "gap", x, "motor position minus link position", more=_RESTING),
+def _transmission(axis: _Axis) -> None:
+    """The torque between the two bodies, across the gap."""
+    x = axis.model.axis_unit
+    rate, ratio = axis.formula(ringing_rate), axis.formula(ringing_ratio)
+    if not axis.model.structure.elastic:
+        axis.declared += [
+            "    // Contact is rigid in the identified model; here it is a stiff spring without rebound.",
+            _declare("parameter Real", "contact_frequency", "Hz", "ring of the contact", repr(CONTACT_FREQUENCY)),
+            _declare("parameter Real", "contact_damping", "1", "damping ratio, too high to rebound", "3.0"),
+        ]
+        rate = axis.formula(angular, "contact_frequency")
+        ratio = sympy.Symbol("contact_damping", real=True)
+    axis.declared += [
+        f"    final parameter Real contact_stiffness = {axis.station(mesh_stiffness, rate, 'motor_share')};",
+        f"    final parameter Real contact_resistance = {axis.station(mesh_damping, ratio, rate, 'motor_share')};",
         _declare("Real", "motor_velocity", f"{x}/s", "velocity of the motor, seen at the link",
                  more="start = velocity_start, fixed = true"),
-        _declare("Real", "contact", f"{x}/s^2", "torque from motor to link over inertia"),
-        _declare("Real", "press", f"{x}/s^2", "what the flanks would transmit if they could pull"),
     ]  # fmt: skip
-    if structure.elastic:
-        kind = "joint" if "joint_elasticity" in structure else "tooth"
-        frequency, damping = f"{kind}_frequency", f"{kind}_damping"
-    else:
-        frequency, damping = "contact_frequency", "contact_damping"
-        declared += [
-            "    // Contact is rigid in the identified model; here it is a stiff spring without rebound.",
-            _declare("parameter Real", frequency, "Hz", "ring of the contact", repr(CONTACT_FREQUENCY)),
-            _declare("parameter Real", damping, "1", "damping ratio, too high to rebound", "3.0"),
+    axis.state("gap", x, "motor position minus link position", "motor_velocity - velocity")
+    half = sympy.Symbol("backlash_gap", real=True) / 2
+    speed = sympy.Symbol("motor_velocity", real=True) - sympy.Symbol("velocity", real=True)
+    both, upper, lower = (
+        axis.station(tension, "gap", speed, side, half, "contact_stiffness", "contact_resistance")
+        for side in (2, 1, -1)
+    )
+    torque = (
+        f"if backlash_gap <= 0 then {both} elseif gap > 0.5*backlash_gap then {upper}"
+        f" elseif gap < -0.5*backlash_gap then {lower} else 0"
+    )
+    axis.add("contact", f"{x}/s^2", "torque from motor to link over inertia", torque)
+
+
+def _motion(axis: _Axis) -> None:
+    """What is left of the torques moves the bodies."""
+    motor, link = (f" - friction_{body}" if axis.has("grip") else "" for body in ("motor", "link"))
+    if axis.two:
+        axis.equations += [
+            f"motor_share*der(motor_velocity) = push_motor - contact{motor};",
+            f"(mass - motor_share)*der(velocity) = push_link + contact{link};",
         ]
-    share = "motor_share*(1 - motor_share)"
-    declared += [
-        f"    final parameter Real contact_stiffness = (2*3.141592653589793*{frequency})^2*{share};",
-        f"    final parameter Real contact_resistance = 4*3.141592653589793*{damping}*{frequency}*{share};",
-    ]
-    equations = [
-        "der(gap) = motor_velocity - velocity;",
-        "press = contact_stiffness*(gap - (if gap > 0 then 0.5 else -0.5)*backlash_gap)"
-        " + contact_resistance*(motor_velocity - velocity);",
-        "contact = if backlash_gap <= 0 then contact_stiffness*gap"
-        " + contact_resistance*(motor_velocity - velocity)"
-        " elseif gap > 0.5*backlash_gap then max(press, 0)"
-        " elseif gap < -0.5*backlash_gap then min(press, 0) else 0;",
-    ]
-    return declared, equations
+    else:
+        axis.equations.append(f"mass*der(velocity) = push_motor + push_link{link};")
+    reading = f"position_measured = position + {axis.sum('sensor', _LINK)};"
+    axis.equations += ["der(position) = velocity;", reading]
+
+
+def _ports(model: Model) -> list[str]:
+    """Input and outputs."""
+    x = model.axis_unit
+    return [
+        _declare("input Real", model.input_name, model.input_unit, "command"),
+        _declare("output Real", "position", x, "position of the link", more="start = position_start, fixed = true"),
+        _declare("output Real", "velocity", f"{x}/s", "velocity of the link",
+                 more="start = velocity_start, fixed = true"),
+        _declare("output Real", "position_measured", x, "what the position sensor reads, not quantised"),
+    ]  # fmt: skip
 
 
 def _parameters(model: Model) -> list[str]:
@@ -234,108 +394,24 @@ def write(model: Model) -> str:
 
     The parameter `delay` is called `delay_time`, for `delay` is a word of the language.
     """
-    structure, x, u = model.structure, model.axis_unit, model.input_unit
-    slots = laws_by_slot(structure)
-    two = "backlash" in structure
-    declared, equations, _ = _drive(model, x, u)
-    link = {"position": "position", "velocity": "velocity"}
-    declared.append(_declare("Real", "load", f"{x}/s^2", "torques on the link over inertia"))
-    on_link, driving = _sum(model, "load", link), "torque"
-    if slots["shaft"]:
-        on_link += f" + {'(1 - shaft_share)*' if two else ''}({_sum(model, 'shaft', link)})"
-        if two:
-            driving = "driving"
-            on_motor = _sum(model, "shaft", {"position": "(position + gap)"})
-            declared.append(_declare("Real", driving, f"{x}/s^2", "torques on the motor over inertia"))
-            equations.append(f"{driving} = torque + shaft_share*({on_motor});")
-    if slots["bristle"]:
-        speed = "motor_velocity" if two else "velocity"
-        declared.append(_declare("Real", "bend", "1", "how far friction is bent before it slides", more=_RESTING))
-        declared.append(_declare("Real", "pushing", f"{x}/s^2", "torques on the motor over inertia, that friction too"))
-        equations.append(f"presliding_travel*der(bend) = {speed} - abs({speed})*bend;")
-        equations.append(f"pushing = {driving} + {_sum(model, 'bristle', {})};")
-        driving = "pushing"
-    if slots["rider"]:
-        declared += [
-            _declare("Real", "ride", x, "position of what rides on the link minus that of the link", more=_RESTING),
-            _declare("Real", "ride_velocity", f"{x}/s", "its velocity minus that of the link", more=_RESTING),
-            _declare("Real", "tug", f"{x}/s^2", "acceleration by which it is drawn back"),
-        ]
-        equations += [
-            "tug = flexible_load_stiffness*ride + flexible_load_damping*ride_velocity;",
-            "der(ride) = ride_velocity;",
-            "der(ride_velocity) = -der(velocity) - tug;",
-        ]
-        on_link += f" + {_sum(model, 'rider', {})}"
-    equations.append(f"load = {on_link};")
-    declared.append(_declare("Real", "mass", "1", "inertia, in units of that of the axis"))
-    equations.append(f"mass = 1 + {_sum(model, 'mass', link)};")
-    drag_link = _sum(model, "drag", link)
-    drag_motor = _sum(model, "drag", {"position": "position", "velocity": "motor_velocity"}) if two else drag_link
-    # Where nothing tells motor and link apart each is half of the axis.
-    inertia, part = ("motor_share", "friction_share") if two else ("0.5", "0.5")
-    bearing = (
-        f"(({driving} + {part}*({drag_motor}))*(mass - {inertia}) - (load + (1 - {part})*({drag_link}))*{inertia})/mass"
-    )
-    if not two:
-        transmitted = f"({bearing})"
-    elif structure.elastic:
-        transmitted = "contact"
-    else:
-        # Rigid teeth knock without friction: what holds them together counts, not the blow of the spring instead.
-        declared.append(_declare("Real", "bearing", f"{x}/s^2", "torque that makes motor and link move as one"))
-        equations.append(f"bearing = {bearing};")
-        transmitted = (
-            "(if backlash_gap <= 0 then bearing elseif gap > 0.5*backlash_gap then max(bearing, 0)"
-            " elseif gap < -0.5*backlash_gap then min(bearing, 0) else 0)"
-        )
-    if slots["grip"]:
-        declared += [
-            "    // Dry friction holds exactly in the identified model; here the body gives by `presliding` at most.",
-            _declare("constant Real", "presliding", x, "travel until friction is full", repr(PRESLIDING)),
-            _declare("constant Real", "bristle_time", "s", "damping of the bristle", repr(BRISTLE_TIME)),
-        ]
-        for name, direction in (("grip_forward", "1.0"), ("grip_reverse", "-1.0")):
-            way = "forwards" if direction == "1.0" else "backwards"
-            declared.append(_declare("Real", name, f"{x}/s^2", f"size of the dry friction {way}"))
-            given = {**link, "direction": direction, "transmitted": transmitted}
-            equations.append(f"{name} = max({_sum(model, 'grip', given)}, 0);")
-    bodies = (("motor", "motor_velocity", "dry_share"), ("link", "velocity", "(1 - dry_share)"))
-    for body, speed, share in bodies if two else (("link", "velocity", "1"),):
-        if slots["grip"]:
-            more, held = _friction(body, speed, share, x)
-            declared += more
-            equations += held
-    gripped = {body: f" - friction_{body}" if slots["grip"] else "" for body in ("motor", "link")}
-    if two:
-        more, joined = _transmission(model, x)
-        declared += more
-        equations += joined
-        equations += [
-            f"motor_share*der(motor_velocity) = {driving} - contact + friction_share*({drag_motor}){gripped['motor']};",
-            "(mass - motor_share)*der(velocity) = load + contact"
-            f" + (1 - friction_share)*({drag_link}){gripped['link']};",
-        ]
-    else:
-        equations.append(f"mass*der(velocity) = {driving} + load + {drag_link}{gripped['link']};")
-    equations += ["der(position) = velocity;", f"position_measured = position + {_sum(model, 'sensor', link)};"]
-    ports = [
-        _declare("input Real", model.input_name, u, "command"),
-        _declare("output Real", "position", x, "position of the link", more="start = position_start, fixed = true"),
-        _declare("output Real", "velocity", f"{x}/s", "velocity of the link",
-                 more="start = velocity_start, fixed = true"),
-        _declare("output Real", "position_measured", x, "what the position sensor reads, not quantised"),
-    ]  # fmt: skip
+    axis = _Axis(model)
+    _drive(axis)
+    _pushes(axis)
+    if axis.two:
+        _transmission(axis)
+    if axis.has("grip"):
+        _dry_friction(axis)
+    _motion(axis)
     return "\n".join(
         [
             'package Twin "Identified axes"',
-            f"  block Axis {_text('motor-driven axis with ' + '; '.join(e.title for e in structure.effects))}",
+            f"  block Axis {_text('motor-driven axis with ' + '; '.join(e.title for e in model.structure.effects))}",
             *_parameters(model),
-            *ports,
-            "  protected" if declared else "",
-            *declared,
+            *_ports(model),
+            "  protected",
+            *axis.declared,
             "  equation",
-            *(f"    {line}" for line in equations),
+            *(f"    {line}" for line in axis.equations),
             f"    annotation(Documentation(info = {_text('<html>' + _documentation(model) + '</html>')}));",
             "  end Axis;",
             "end Twin;",

@@ -19,6 +19,7 @@ from typing import Any
 import sympy
 from sympy.printing.pycode import PythonCodePrinter
 
+from twin.codegen.sections import joined
 from twin.effects.catalogue import EFFECTS
 from twin.effects.effect import SLOTS
 from twin.model.equations import trace
@@ -114,6 +115,16 @@ class _Resolve(ast.NodeTransformer):
         # A parameter of an absent effect stands only in branches that are folded away.
         return ast.Subscript(node.value, ast.Constant(table.get(node.attr, -1)), node.ctx)
 
+    def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
+        self.generic_visit(node)
+        decisive = isinstance(node.op, ast.Or)
+        undecided = [v for v in node.values if not isinstance(v, ast.Constant)]
+        if any(isinstance(v, ast.Constant) and v.value is decisive for v in node.values):
+            return ast.Constant(decisive)
+        if not undecided:
+            return ast.Constant(not decisive)
+        return ast.BoolOp(node.op, undecided) if len(undecided) > 1 else undecided[0]
+
     def visit_If(self, node: ast.If) -> Any:
         self.generic_visit(node)
         if isinstance(node.test, ast.Constant):
@@ -122,8 +133,8 @@ class _Resolve(ast.NodeTransformer):
 
 
 def resolve(text: str, numbers: Numbering) -> ast.Module:
-    """Parse text and put numbers in place of names; doc strings go."""
-    tree = ast.parse(textwrap.dedent(text))
+    """Parse text, put sections in their place and numbers in place of names; doc strings go."""
+    tree = joined(ast.parse(textwrap.dedent(text)))
     for function in tree.body:
         if isinstance(function, ast.FunctionDef) and isinstance(function.body[0], ast.Expr):
             function.body = function.body[1:]

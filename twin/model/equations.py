@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import ast
+import inspect
+import operator
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import sympy
@@ -13,6 +17,7 @@ from numpy.typing import NDArray
 
 from twin.effects.catalogue import EFFECTS
 from twin.effects.effect import SLOTS
+from twin.model.stations import STATIONS
 from twin.model.stepper import Structure
 
 
@@ -46,6 +51,120 @@ def trace(effect_id: str) -> Trace:
     p = SimpleNamespace(**{s.name[2:]: s for s in parameters}, **others)
     expression = sympy.sympify(effect.law(q, p))
     return Trace(expression, arguments, parameters + tuple(others.values()))
+
+
+#: Functions of the stations as syntax trees, by name.
+_STATIONS = {
+    f.name: f
+    for station in STATIONS
+    for f in ast.parse(inspect.getsource(station)).body
+    if isinstance(f, ast.FunctionDef)
+}
+_ARITHMETIC: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+_COMPARISONS: Mapping[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+    ast.Gt: operator.gt,
+    ast.Lt: operator.lt,
+    ast.GtE: operator.ge,
+    ast.LtE: operator.le,
+    ast.Eq: operator.eq,
+}
+
+
+class _Run:
+    """One run of a station's function on SymPy expressions; where a test stays open both ways are followed."""
+
+    def __init__(self, structure: Structure, slots: Mapping[str, sympy.Expr], variables: dict[str, Any]) -> None:
+        self.structure = structure
+        self.slots = slots
+        self.variables = variables
+
+    def value(self, node: ast.expr) -> Any:
+        match node:
+            case ast.Constant(value):
+                return value
+            case ast.Name(name):
+                return self.variables[name]
+            case ast.Attribute(ast.Name("has"), name):
+                return name in self.structure or name in self.structure.slots
+            case ast.Attribute(ast.Name("p"), name):
+                return parameter(name)
+            case ast.UnaryOp(ast.USub(), inner):
+                return -self.value(inner)
+            case ast.BinOp(left, kind, right):
+                return _ARITHMETIC[type(kind)](self.value(left), self.value(right))
+            case ast.Compare(left, [kind], [right]):
+                return _COMPARISONS[type(kind)](self.value(left), self.value(right))
+            case ast.BoolOp(ast.Or(), tests):
+                return any(self.value(test) for test in tests)
+            case ast.Call(ast.Name(name), _) if name in self.slots:
+                return self.slots[name]
+            case ast.Call(ast.Name(name), given):
+                arguments = [None if ast.unparse(a) == "p" else self.value(a) for a in given]
+                return _run(_STATIONS[name], self.structure, self.slots, arguments)
+        raise ValueError(f"no expression for {ast.unparse(node)!r}")
+
+    def block(self, statements: Iterable[ast.stmt]) -> Any:
+        """Run statements; what a return gives, else None."""
+        for node in statements:
+            match node:
+                case ast.Return(value) if value is not None:
+                    return self.value(value)
+                case ast.Assign([ast.Name(name)], value):
+                    self.variables[name] = self.value(value)
+                case ast.If(test, body, orelse):
+                    self.branch(self.value(test), body, orelse)
+        return None
+
+    def branch(self, test: Any, body: list[ast.stmt], orelse: list[ast.stmt]) -> None:
+        if test in (True, False):
+            self.block(body if test else orelse)
+            return
+        other = _Run(self.structure, self.slots, dict(self.variables))
+        self.block(body)
+        other.block(orelse)
+        for name, value in other.variables.items():
+            mine = self.variables[name]
+            self.variables[name] = value if mine == value else sympy.Piecewise((mine, test), (value, True))
+
+
+def _run(
+    function: ast.FunctionDef, structure: Structure, slots: Mapping[str, sympy.Expr], arguments: Iterable[Any]
+) -> Any:
+    names = [a.arg for a in function.args.args]
+    return _Run(structure, slots, dict(zip(names, arguments, strict=True))).block(function.body)
+
+
+def expression(
+    station: Callable[..., Any], structure: Structure, *arguments: Any, slots: Mapping[str, sympy.Expr] | None = None
+) -> sympy.Expr:
+    """A law between the stations (`twin.model.stations`) as a formula, for a structure.
+
+    Parameters
+    ----------
+    station
+        The function.
+    structure
+        Decides what `has.name` is.
+    arguments
+        In place of the function's own, without `p`: expressions, or numbers that decide which way it goes.
+    slots
+        What the laws of a slot come to, by the slot's name.
+
+    Returns
+    -------
+    sympy.Expr
+        In the arguments and the parameters, which are named "p.<parameter>".
+    """
+    function = _STATIONS[station.__name__]
+    takes_parameters = any(a.arg == "p" for a in function.args.args)
+    found = _run(function, structure, slots or {}, (*arguments, None) if takes_parameters else arguments)
+    return sympy.sympify(found)
 
 
 @cache

@@ -1,23 +1,24 @@
-"""The chain of stations, and the stepper that moves it through time.
+"""The stepper that moves the chain of stations through time.
 
     command -> drive -> motor -> transmission -> link -> sensor
                                                   ^ loads, friction, disturbance
 
 The stepper below is written once, in a small part of Python: scalars, `if`, `for ... in range`, `sqrt`
 and `exp`. `x.name` is a state, `p.name` a parameter, `k.name` a quantity known of the recording and
-`has.name` whether the structure contains an effect, or any law in a slot. The writers turn this text into
+`has.name` whether the structure contains an effect, or any law in a slot. Functions that take `s` are sections of
+`piece`, and `s.name` is its variable `name` (`twin.codegen.sections`). The writers turn this text into
 Python that runs, into its exact derivative, and into C. It is not called from here.
 
 Accelerations and inertias are relative to the inertia of the axis, so that torque and acceleration are the
 same number (paper, eq. 2).
 
 What is not smooth stands here in the open. Dry friction takes from the torque what it can (`net`), so that
-rest is rest. Backlash is two bodies: `piece` ends at each stick, reversal and contact, so that no event is
+rest is rest. Backlash is two bodies: a `piece` ends at each stick, reversal and contact, so that no event is
 stepped over (Brogliato, Nonsmooth Mechanics, 2016; inelastic impact).
 """
 
 # mypy: ignore-errors
-# ruff: noqa: SIM102, F821
+# ruff: noqa: SIM102, F821, F841
 
 from __future__ import annotations
 
@@ -28,6 +29,23 @@ from math import exp, sqrt
 from twin.effects.catalogue import BASE, EFFECTS
 from twin.effects.effect import Effect
 from twin.effects.parameter import Parameter
+from twin.model.stations import (
+    STATIONS,
+    back_emf,
+    before_lag,
+    beyond,
+    carried,
+    dry_friction,
+    heating,
+    mesh_damping,
+    mesh_stiffness,
+    on_link,
+    on_motor,
+    ringing_rate,
+    ringing_ratio,
+    tension,
+    tugging,
+)
 
 #: States of the stepper: unit and meaning. The gap is motor position minus link position.
 STATES: dict[str, tuple[str, str]] = {
@@ -137,22 +155,6 @@ def net(torque, forward, reverse, velocity):
     return left
 
 
-def tension(gap, speed, side, half, stiffness, damping):
-    """Torque through compliant teeth or an elastic joint; gap and speed are motor minus link. A flank never pulls."""
-    pull = 0.0
-    if side == 1:
-        pull = stiffness * (gap - half) + damping * speed
-        if pull < 0.0:
-            pull = 0.0
-    elif side == -1:
-        pull = stiffness * (gap + half) + damping * speed
-        if pull > 0.0:
-            pull = 0.0
-    elif side == 2:
-        pull = stiffness * gap + damping * speed
-    return pull
-
-
 def reaching(distance, speed, acceleration, limit):
     """Time until a distance of either sign is covered, or `limit` if it is not covered before."""
     time = limit
@@ -208,22 +210,6 @@ def sinc_of_root(square):
         + square * (-1.0 / 39916800.0 + square * (1.0 / 6227020800.0 - square / 1307674368000.0))))))  # fmt: skip
 
 
-def clipped(value, upper, lower):
-    """The value, held between -lower and upper."""
-    result = value
-    if value > upper:
-        result = upper
-    elif value < -lower:
-        result = -lower
-    return result
-
-
-def beyond(value, upper, lower):
-    """By how much the value is beyond -lower or upper."""
-    kept = clipped(value, upper, lower)
-    return value - kept
-
-
 def mean_beyond(before, after, mean, upper, lower):
     """Mean of what is beyond -lower or upper of a value on its way; where it crosses one of them, as on a line."""
     first = beyond(before, upper, lower)
@@ -244,11 +230,6 @@ def bent_by(bend, way, give):
     return side + (bend - side) * exp(-side * way / give)
 
 
-def tugging(way, speed, stiffness, damping):
-    """Acceleration by which a spring and a damper draw back what rides on the link."""
-    return stiffness * way + damping * speed
-
-
 def halved(length, rate, most):
     """A length, halved until it is no more than `most` at a rate: one that a parameter moved would have a slope."""
     for _ in range(12):
@@ -256,6 +237,435 @@ def halved(length, rate, most):
             break
         length = 0.5 * length
     return length
+
+
+def bodies(x, p, k, s):
+    """The two bodies, the gap between them, and the spring in it where teeth or a joint give."""
+    s.half = 0.0
+    s.mass_m = 0.5
+    s.share = 0.5
+    s.dry = 0.5
+    s.turned = 0.0
+    if has.backlash:
+        s.half = 0.5 * p.backlash_gap
+        s.mass_m = p.motor_share
+        s.share = p.friction_share
+        s.dry = p.dry_share
+        s.turned = p.shaft_share
+    # Compliant teeth and an elastic joint are the same spring beyond the gap: the softer one is what is seen.
+    s.elastic = 0
+    s.rate = 0.0
+    s.decline = 0.0
+    s.stiffness = 0.0
+    s.damping = 0.0
+    if has.tooth_compliance or has.joint_elasticity:
+        s.elastic = 1
+        s.rate = ringing_rate(p)
+        ratio = ringing_ratio(p)
+        s.decline = 2.0 * ratio * s.rate
+        s.stiffness = mesh_stiffness(s.rate, s.mass_m)
+        s.damping = mesh_damping(ratio, s.rate, s.mass_m)
+    added = 0.0
+    if has.mass:
+        added = mass(x.position + 0.5 * s.h * x.velocity, x.time + 0.5 * s.h, k.payload, p)
+    s.mass_l = 1.0 - s.mass_m + added
+    s.total = s.mass_m + s.mass_l
+    s.per_total = 1.0 / s.total
+
+
+def contact(x, s):
+    """The flank that touches: 1 the upper, -1 the lower, 2 both (there is no gap), 0 neither. Rigid ones knock."""
+    s.side = 0
+    s.closing = x.motor_velocity - x.velocity
+    if s.half <= 0.0:
+        s.side = 2
+    elif x.gap >= s.half:
+        if s.closing >= 0.0 or (s.elastic == 1 and x.gap > s.half):
+            s.side = 1
+    elif x.gap <= -s.half:
+        if s.closing <= 0.0 or (s.elastic == 1 and x.gap < -s.half):
+            s.side = -1
+    if s.side != 0 and s.elastic == 0:
+        if s.closing != 0.0:
+            joint = (s.mass_m * x.motor_velocity + s.mass_l * x.velocity) / s.total
+            if has.rider:
+                # A blow leaves it as it was.
+                x.ride_velocity = x.ride_velocity + x.velocity - joint
+            x.velocity = joint
+            x.motor_velocity = joint
+            s.closing = 0.0
+        if s.side == 2:
+            x.gap = 0.0
+        elif s.side == 1:
+            x.gap = s.half
+        else:
+            x.gap = -s.half
+
+
+def length_at_contact(x, p, s):
+    """How long the piece may be alone in the gap, and where a spring presses.
+
+    What presses is a spring with a damper, whose motion between two torques is known (`swing`): in pieces that only
+    the torques need. Where a flank separates or a body stops within one, the step uses `fine` pieces like everything
+    else. Coarse pieces before a ringing has decayed would make its end depend on the smallest change of the model. A
+    body with so much damping that a step would pass its rest would chatter.
+    """
+    # Alone in the gap the light motor comes to its speed soon, and what is fine for the axis is coarse for it.
+    if s.side == 0:
+        if s.h > 0.0005:
+            s.h = 0.0005
+        slows = s.share * p.viscous_friction / s.mass_m
+        # No motor that there is stops sooner.
+        if slows > 200.0:
+            slows = 200.0
+        s.h = halved(s.h, slows, 0.015)
+    s.flow = 0
+    s.lean = 0.0
+    s.fine = s.h
+    if s.elastic == 1 and s.side != 0:
+        if s.fine > 0.0005:
+            s.fine = 0.0005
+        ringing = 0
+        if s.closing > 0.0002 or s.closing < -0.0002:
+            ringing = 1
+        if ringing == 1:
+            s.fine = halved(s.fine, s.rate, 0.08)
+        s.fine = halved(s.fine, s.decline, 1.0)
+        if s.side == 2:
+            s.flow = 1
+        else:
+            s.lean = s.side * s.half
+            if tension(x.gap, s.closing, s.side, s.half, s.stiffness, s.damping) != 0.0:
+                s.flow = 1
+        if s.flow == 1:
+            if ringing == 1:
+                s.h = halved(s.h, s.rate, 0.5)
+            s.h = halved(s.h, s.rate, 3.0)
+            s.h = halved(s.h, s.decline, 4.0)
+        else:
+            s.h = s.fine
+
+
+def length_at_loads(x, p, s):
+    """How long the piece may be in a stop, on the way to one, and with what rides on the link."""
+    # Fine in a stop, also where the link turns around in it; on its way there it does not feel it yet.
+    if has.end_stop:
+        depth = x.position - p.stop_upper
+        ahead = -depth
+        if x.position <= p.stop_lower:
+            depth = p.stop_lower - x.position
+        if x.velocity < 0.0:
+            ahead = p.stop_lower - x.position
+        if depth >= 0.0:
+            s.flow = 0
+            if s.h > s.fine:
+                s.h = s.fine
+            hard = sqrt(p.stop_stiffness)
+            s.h = halved(s.h, hard, 0.02)
+            s.h = halved(s.h, p.stop_damping + p.stop_stiffness * p.stop_hysteresis * depth, 1.0)
+        elif x.velocity * ahead > 0.0:
+            until = ahead / x.velocity
+            if until > 1e-9 and until < s.h:
+                s.h = until
+    # However firmly something is held that rides on the link, it does not shake it; its swing is followed.
+    if has.rider:
+        firm = 1.0 + p.flexible_load_share / s.mass_l
+        s.h = halved(s.h, p.flexible_load_damping * firm, 0.5)
+        swings = sqrt(p.flexible_load_stiffness * firm)
+        s.h = halved(s.h, swings, 0.3)
+    if s.fine > s.h:
+        s.fine = s.h
+
+
+def unset(s):
+    """What only some paths through the piece fill: each variable has a number on all of them."""
+    s.warm = 0.0
+    s.gain_l = 0.0
+    s.gain_m = 0.0
+    s.tug = 0.0
+    s.acting = 0.0
+    s.fed = 0.0
+    s.decay = 0.0
+    s.together = 0
+    s.hook = 1.0
+    s.whole = 1.0
+    s.turn = 0.0
+    s.yields = 0.0
+    s.after_l = 0.0
+    s.after_m = 0.0
+    s.twist_after = 0.0
+    s.closing_after = 0.0
+
+
+def start_of_piece(x, s):
+    """The point at which the torques are asked for first."""
+    s.middle = 0.5 * s.h
+    s.moment = x.time
+    s.place = x.position
+    s.speed_l = x.velocity
+    s.speed_m = x.motor_velocity
+    s.heat = x.heat
+    s.twist = x.gap
+    s.together = 0
+    s.travel = 0.0
+    s.holds = 1
+
+
+def middle_of_piece(x, p, s):
+    """The point at which the torques are asked for again, as those at the start predict it."""
+    s.moment = x.time + s.middle
+    if s.flow == 1:
+        s.place = x.position + 0.5 * s.middle * (x.velocity + s.after_l)
+        s.speed_l = s.after_l
+        s.speed_m = s.after_m
+        s.twist = s.twist_after
+    else:
+        s.place = x.position + s.middle * x.velocity
+        s.speed_l = x.velocity + s.middle * s.gain_l
+        if s.speed_l * x.velocity < 0.0:
+            s.speed_l = 0.0
+        s.speed_m = s.speed_l
+        if s.together == 0:
+            s.speed_m = x.motor_velocity + s.middle * s.gain_m
+            if s.speed_m * x.motor_velocity < 0.0:
+                s.speed_m = 0.0
+        s.twist = x.gap + s.middle * s.closing
+    if has.thermal_fade:
+        s.heat = x.heat + (s.warm - x.heat) * s.middle / p.fade_time
+
+
+def drive_torque(x, p, s):
+    """Torque of the drive, behind its lag."""
+    if s.stage == 0 or s.varies == 1:
+        emf = back_emf(s.speed_m, p)
+        if has.thermal_fade:
+            if s.stage == 0:
+                cold = drive(s.command, emf, 0.0, s.place + s.twist, p)
+                s.warm = heating(cold, emf, p)
+        s.acting = drive(s.command, emf, s.heat, s.place + s.twist, p)
+    mean = s.acting
+    if has.motor_lag:
+        s.fed = before_lag(s.acting, s.command, p)
+        # The mean over the first half predicts the middle; the mean over the whole moves the axis.
+        if s.stage == 0:
+            s.decay = exp(-s.middle / p.lag_time)
+            mean = s.fed + (x.lag - s.fed) * (1.0 - s.decay) * p.lag_time / s.middle
+        else:
+            s.decay = s.decay * s.decay
+            mean = s.fed + (x.lag - s.fed) * (1.0 - s.decay) * p.lag_time / s.h
+        if has.dead_band:
+            lagging = s.fed + (x.lag - s.fed) * s.decay
+            upper = p.lag_dead_band * p.dead_band_forward
+            lower = p.lag_dead_band * p.dead_band_reverse
+            mean = mean_beyond(x.lag, lagging, mean, upper, lower)
+    s.torque = p.input_gain * mean
+
+
+def torques(x, p, k, s):
+    """Torques on motor and link, without what the gears transmit and without dry friction."""
+    pull = 0.0
+    if has.load:
+        pull = load(s.place, s.speed_l, s.moment, k.moment, p)
+    resist_l = drag(s.place, s.speed_l, p)
+    resist_m = resist_l
+    if s.speed_m != s.speed_l:
+        resist_m = drag(s.place, s.speed_m, p)
+    leaning = x.bend
+    if has.bristle:
+        if s.stage == 1:
+            leaning = bent_by(x.bend, 0.5 * s.middle * (x.motor_velocity + s.speed_m), p.presliding_travel)
+    if has.rider:
+        if s.stage == 0:
+            s.tug = tugging(x.ride, x.ride_velocity, p.flexible_load_stiffness, p.flexible_load_damping)
+        else:
+            ride = x.ride + s.middle * x.ride_velocity
+            speed = x.ride_velocity - s.speed_l + x.velocity - s.middle * s.tug
+            s.tug = tugging(ride, speed, p.flexible_load_stiffness, p.flexible_load_damping)
+    s.push_m = on_motor(s.torque, resist_m, s.place + s.twist, leaning, s.share, s.turned, p)
+    s.push_l = on_link(pull, resist_l, s.place, s.tug, s.share, s.turned, p)
+
+
+def transmission(s):
+    """What the teeth transmit: the spring's torque, or what makes two bodies move as one."""
+    s.through = 0.0
+    if s.elastic == 1:
+        s.through = tension(s.twist, s.speed_m - s.speed_l, s.side, s.half, s.stiffness, s.damping)
+        s.push_m = s.push_m - s.through
+        s.push_l = s.push_l + s.through
+    elif s.side != 0:
+        s.through = carried(s.push_m, s.push_l, s.mass_m, s.mass_l, s.per_total)
+        if s.side * s.through < 0.0 and s.side != 2:
+            s.through = 0.0
+
+
+def accelerations(x, p, s):
+    """Dry friction takes what it can, and what is left of the torques moves the bodies: together or each alone."""
+    s.left_m = s.push_m
+    s.left_l = s.push_l
+    left = s.push_m + s.push_l
+    if has.grip:
+        forward = 0.0
+        reverse = 0.0
+        # Only what is at rest needs both.
+        if x.motor_velocity >= 0.0 or x.velocity >= 0.0:
+            forward = dry_friction(s.place, s.speed_l, 1.0, s.through, s.moment, p)
+        if x.motor_velocity <= 0.0 or x.velocity <= 0.0:
+            reverse = dry_friction(s.place, s.speed_l, -1.0, s.through, s.moment, p)
+        s.left_m = net(s.push_m, s.dry * forward, s.dry * reverse, x.motor_velocity)
+        s.left_l = net(s.push_l, (1.0 - s.dry) * forward, (1.0 - s.dry) * reverse, x.velocity)
+        left = net(left, forward, reverse, x.velocity)
+    s.together = 0
+    if s.elastic == 0:
+        if s.side == 2 or (s.side != 0 and s.side * (s.left_m * s.mass_l - s.left_l * s.mass_m) >= 0.0):
+            s.together = 1
+    if s.together == 1:
+        s.gain_l = left * s.per_total
+        s.gain_m = s.gain_l
+    else:
+        s.gain_m = s.left_m * s.per_m
+        s.gain_l = s.left_l * s.per_l
+
+
+def mobility(x, s):
+    """How much the spring's two ends yield: what friction holds does not move, and the other body swings against it."""
+    s.yields_m = s.per_m
+    s.yields_l = s.per_l
+    if has.grip:
+        if x.motor_velocity == 0.0 and s.left_m == 0.0:
+            s.yields_m = 0.0
+        if x.velocity == 0.0 and s.left_l == 0.0:
+            s.yields_l = 0.0
+    if s.stage == 1 and s.yields_m + s.yields_l != s.yields:
+        s.holds = 0
+    s.yields = s.yields_m + s.yields_l
+
+
+def swing(x, s):
+    """The bodies after half the piece (stage 0) or all of it, as a damped spring moves them under constant torques."""
+    s.after_l = x.velocity
+    s.after_m = x.motor_velocity
+    s.twist_after = x.gap
+    s.closing_after = s.closing
+    if s.yields > 0.0 and s.holds == 1:
+        free_m = s.left_m + s.through
+        free_l = s.left_l - s.through
+        apart = free_m * s.yields_m - free_l * s.yields_l
+        bent = apart - s.yields * s.stiffness * (x.gap - s.lean)
+        lasts = s.middle
+        if s.stage == 0:
+            s.hook = s.yields * s.stiffness
+            loss = s.yields * s.damping * s.middle
+            bend = s.hook * s.middle * s.middle - 0.25 * loss * loss
+            fades = exp(-0.5 * loss)
+            swings = cos_of_root(bend)
+            sway = sinc_of_root(bend)
+            s.turn = s.middle * fades * sway
+            s.whole = fades * (swings + 0.5 * loss * sway)
+        else:
+            # Once more as far.
+            lasts = s.h
+            first = s.turn
+            s.turn = first * (2.0 * s.whole - s.yields * s.damping * first)
+            s.whole = s.whole * s.whole - s.hook * first * first
+        s.twist_after = x.gap + s.turn * s.closing + (1.0 - s.whole) * bent / s.hook
+        s.closing_after = (s.whole - s.turn * s.yields * s.damping) * s.closing + s.turn * bent
+        given = (apart * lasts - s.closing_after + s.closing) / s.yields
+        s.after_m = x.motor_velocity + s.yields_m * (free_m * lasts - given)
+        s.after_l = x.velocity + s.yields_l * (free_l * lasts + given)
+        if s.stage == 1:
+            shift = (0.5 * apart * s.h * s.h - s.twist_after + x.gap + s.closing * s.h) / s.yields
+            s.travel = s.h * x.velocity + s.yields_l * (0.5 * s.h * s.h * free_l + shift)
+
+
+def swing_holds(x, p, s):
+    """Whether nothing on the way changes what swings: no body stops, no flank separates, no stop is met."""
+    if s.after_l * x.velocity <= 0.0 and s.after_l != x.velocity:
+        s.holds = 0
+    if s.after_m * x.motor_velocity <= 0.0 and s.after_m != x.motor_velocity:
+        s.holds = 0
+    if s.side != 2:
+        if tension(s.twist_after, s.closing_after, s.side, s.half, s.stiffness, s.damping) == 0.0:
+            s.holds = 0
+    if has.end_stop:
+        if x.position + s.travel > p.stop_upper or x.position + s.travel < p.stop_lower:
+            s.holds = 0
+
+
+def next_event(x, p, s):
+    """The first stick, reversal or contact on the way, and when: `span`."""
+    s.event = 0
+    stop = stopping(x.velocity, s.gain_l, s.h)
+    if stop < s.span:
+        s.event = 1
+        s.span = stop
+    if s.together == 0:
+        relative = s.gain_m - s.gain_l
+        stop = stopping(x.motor_velocity, s.gain_m, s.h)
+        if stop < s.span:
+            s.event = 2
+            s.span = stop
+        if s.side != 2:
+            meet = reaching(s.half - x.gap, s.closing, relative, s.h)
+            if meet < s.span:
+                s.event = 3
+                s.span = meet
+            meet = reaching(-s.half - x.gap, s.closing, relative, s.h)
+            if meet < s.span:
+                s.event = 4
+                s.span = meet
+    if has.end_stop:
+        meet = reaching(p.stop_upper - x.position, x.velocity, s.gain_l, s.h)
+        if meet < s.span:
+            s.event = 5
+            s.span = meet
+        meet = reaching(p.stop_lower - x.position, x.velocity, s.gain_l, s.h)
+        if meet < s.span:
+            s.event = 6
+            s.span = meet
+
+
+def move(x, p, s):
+    """Move the bodies on parabolas to the event, and there exactly onto it."""
+    if s.together == 0:
+        x.gap = x.gap + s.span * (s.closing + 0.5 * s.span * (s.gain_m - s.gain_l))
+    x.position = x.position + s.span * (x.velocity + 0.5 * s.span * s.gain_l)
+    x.velocity = x.velocity + s.span * s.gain_l
+    x.motor_velocity = x.motor_velocity + s.span * s.gain_m
+    if s.event == 1:
+        x.velocity = 0.0
+    elif s.event == 2:
+        x.motor_velocity = 0.0
+    elif s.event == 3:
+        x.gap = s.half
+    elif s.event == 4:
+        x.gap = -s.half
+    elif s.event == 5:
+        x.position = p.stop_upper
+    elif s.event == 6:
+        x.position = p.stop_lower
+    if s.together == 1:
+        x.motor_velocity = x.velocity
+
+
+def memories(x, p, s):
+    """Move on what else has a state: lag, heat, bristles, what rides on the link, and the time."""
+    if has.motor_lag:
+        if s.span < s.h:
+            s.decay = exp(-s.span / p.lag_time)
+        x.lag = s.fed + (x.lag - s.fed) * s.decay
+    if has.thermal_fade:
+        x.heat = s.warm + (x.heat - s.warm) * exp(-s.span / p.fade_time)
+    if has.bristle:
+        leant = bent_by(x.bend, 0.5 * s.span * (s.before_m + x.motor_velocity), p.presliding_travel)
+        x.bend = leant
+    if has.rider:
+        # It stays behind by what the link gains.
+        x.ride = x.ride + 0.5 * s.span * x.ride_velocity
+        lost = 0.5 * s.span * p.flexible_load_damping
+        stays = x.ride_velocity * (1.0 - lost) - x.velocity + s.before_l - s.span * p.flexible_load_stiffness * x.ride
+        x.ride_velocity = stays / (1.0 + lost)
+        x.ride = x.ride + 0.5 * s.span * x.ride_velocity
+    x.time = x.time + s.span
 
 
 def piece(x, p, k, command, h):
@@ -267,362 +677,42 @@ def piece(x, p, k, command, h):
     between two torques is no parabola but the swing of a damped spring, which is known as well.
     """
     if has.load_change:
-        until = p.load_time - x.time
-        if until > 1e-9 and until < h:
-            h = until
-    half = 0.0
-    mass_m = 0.5
-    share = 0.5
-    dry = 0.5
-    turned = 0.0
-    if has.backlash:
-        half = 0.5 * p.backlash_gap
-        mass_m = p.motor_share
-        share = p.friction_share
-        dry = p.dry_share
-        turned = p.shaft_share
-    # Compliant teeth and an elastic joint are the same spring beyond the gap: the softer one is what is seen.
-    elastic = 0
-    rate = 0.0
-    decline = 0.0
-    stiffness = 0.0
-    damping = 0.0
-    if has.tooth_compliance:
-        elastic = 1
-        rate = 6.283185307179586 * p.tooth_frequency
-        decline = 2.0 * p.tooth_damping * rate
-        stiffness = rate * rate * mass_m * (1.0 - mass_m)
-        damping = 2.0 * p.tooth_damping * rate * mass_m * (1.0 - mass_m)
-    if has.joint_elasticity:
-        elastic = 1
-        rate = 6.283185307179586 * p.joint_frequency
-        decline = 2.0 * p.joint_damping * rate
-        stiffness = rate * rate * mass_m * (1.0 - mass_m)
-        damping = 2.0 * p.joint_damping * rate * mass_m * (1.0 - mass_m)
-    added = 0.0
-    if has.mass:
-        added = mass(x.position + 0.5 * h * x.velocity, x.time + 0.5 * h, k.payload, p)
-    mass_l = 1.0 - mass_m + added
-    total = mass_m + mass_l
-    per_total = 1.0 / total
-
-    # The flank that touches: 1 the upper, -1 the lower, 2 both (there is no gap), 0 neither.
-    side = 0
-    closing = x.motor_velocity - x.velocity
-    if half <= 0.0:
-        side = 2
-    elif x.gap >= half:
-        if closing >= 0.0 or (elastic == 1 and x.gap > half):
-            side = 1
-    elif x.gap <= -half:
-        if closing <= 0.0 or (elastic == 1 and x.gap < -half):
-            side = -1
-    if side != 0 and elastic == 0:
-        if closing != 0.0:
-            joint = (mass_m * x.motor_velocity + mass_l * x.velocity) / total
-            if has.rider:
-                # A blow leaves it as it was.
-                x.ride_velocity = x.ride_velocity + x.velocity - joint
-            x.velocity = joint
-            x.motor_velocity = joint
-            closing = 0.0
-        if side == 2:
-            x.gap = 0.0
-        elif side == 1:
-            x.gap = half
-        else:
-            x.gap = -half
-
-    # Alone in the gap the light motor comes to its speed soon, and what is fine for the axis is coarse for it.
-    if side == 0:
-        if h > 0.0005:
-            h = 0.0005
-        slows = share * p.viscous_friction / mass_m
-        # No motor that there is stops sooner.
-        if slows > 200.0:
-            slows = 200.0
-        h = halved(h, slows, 0.015)
-    # What presses is a spring with a damper, whose motion between two torques is known (`flow`): in pieces that only
-    # the torques need. Where a flank separates or a body stops within one, the step uses `fine` pieces like everything
-    # else. Coarse pieces before a ringing has decayed would make its end depend on the smallest change of the model. A
-    # body with so much damping that a step would pass its rest would chatter.
-    flow = 0
-    lean = 0.0
-    fine = h
-    if elastic == 1 and side != 0:
-        if fine > 0.0005:
-            fine = 0.0005
-        ringing = 0
-        if closing > 0.0002 or closing < -0.0002:
-            ringing = 1
-        if ringing == 1:
-            fine = halved(fine, rate, 0.08)
-        fine = halved(fine, decline, 1.0)
-        if side == 2:
-            flow = 1
-        else:
-            lean = side * half
-            if tension(x.gap, closing, side, half, stiffness, damping) != 0.0:
-                flow = 1
-        if flow == 1:
-            if ringing == 1:
-                h = halved(h, rate, 0.5)
-            h = halved(h, rate, 3.0)
-            h = halved(h, decline, 4.0)
-        else:
-            h = fine
-    # Likewise fine in a stop, also where the link turns around in it; on its way there it does not feel it yet.
-    if has.end_stop:
-        depth = x.position - p.stop_upper
-        ahead = -depth
-        if x.position <= p.stop_lower:
-            depth = p.stop_lower - x.position
-        if x.velocity < 0.0:
-            ahead = p.stop_lower - x.position
-        if depth >= 0.0:
-            flow = 0
-            if h > fine:
-                h = fine
-            hard = sqrt(p.stop_stiffness)
-            h = halved(h, hard, 0.02)
-            h = halved(h, p.stop_damping + p.stop_stiffness * p.stop_hysteresis * depth, 1.0)
-        elif x.velocity * ahead > 0.0:
-            until = ahead / x.velocity
-            if until > 1e-9 and until < h:
-                h = until
-    # However firmly something is held that rides on the link, it does not shake it; its swing is followed.
-    if has.rider:
-        firm = 1.0 + p.flexible_load_share / mass_l
-        h = halved(h, p.flexible_load_damping * firm, 0.5)
-        swings = sqrt(p.flexible_load_stiffness * firm)
-        h = halved(h, swings, 0.3)
-    if fine > h:
-        fine = h
+        until_change = p.load_time - x.time
+        if until_change > 1e-9 and until_change < h:
+            h = until_change
+    bodies(x, p, k, s)
+    contact(x, s)
+    length_at_contact(x, p, s)
+    length_at_loads(x, p, s)
     per_m = 1.0 / mass_m
     per_l = 1.0 / mass_l
-
     # Whether the drive gives more or less on the way.
     varies = 0
-    if has.supply_sag:
+    if has.supply_sag or has.unknown_gain or has.unknown_push or has.thermal_fade:
         varies = 1
-    if has.unknown_gain:
-        varies = 1
-    if has.unknown_push:
-        varies = 1
-    warm = 0.0
-    if has.thermal_fade:
-        varies = 1
-    gain_l = 0.0
-    gain_m = 0.0
-    tug = 0.0
-    acting = 0.0
-    fed = 0.0
-    decay = 0.0
-    together = 0
-    hook = 1.0
-    whole = 1.0
-    turn = 0.0
-    yields = 0.0
-    after_l = 0.0
-    after_m = 0.0
-    twist_after = 0.0
-    closing_after = 0.0
+    unset(s)
     for attempt in range(2):
         if attempt == 1:
             flow = 0
             h = fine
-        middle = 0.5 * h
-        moment = x.time
-        place = x.position
-        speed_l = x.velocity
-        speed_m = x.motor_velocity
-        heat = x.heat
-        twist = x.gap
-        together = 0
-        travel = 0.0
-        holds = 1
+        start_of_piece(x, s)
         for stage in range(2):
             if stage == 1:
-                moment = x.time + middle
-                if flow == 1:
-                    place = x.position + 0.5 * middle * (x.velocity + after_l)
-                    speed_l = after_l
-                    speed_m = after_m
-                    twist = twist_after
-                else:
-                    place = x.position + middle * x.velocity
-                    speed_l = x.velocity + middle * gain_l
-                    if speed_l * x.velocity < 0.0:
-                        speed_l = 0.0
-                    speed_m = speed_l
-                    if together == 0:
-                        speed_m = x.motor_velocity + middle * gain_m
-                        if speed_m * x.motor_velocity < 0.0:
-                            speed_m = 0.0
-                    twist = x.gap + middle * closing
-                if has.thermal_fade:
-                    heat = x.heat + (warm - x.heat) * middle / p.fade_time
-
-            if stage == 0 or varies == 1:
-                emf = 0.0
-                if has.supply_sag:
-                    emf = p.viscous_friction * speed_m / p.input_gain
-                if has.thermal_fade:
-                    emf = p.viscous_friction * speed_m / p.input_gain
-                    if stage == 0:
-                        cold = drive(command, emf, 0.0, place + twist, p)
-                        warm = ((cold - p.fade_emf * emf) / p.fade_reference) ** 2
-                acting = drive(command, emf, heat, place + twist, p)
-            mean = acting
-            if has.motor_lag:
-                fed = acting
-                if has.dead_band:
-                    kept = clipped(command, p.dead_band_forward, p.dead_band_reverse)
-                    fed = fed + p.lag_dead_band * kept
-                # The mean over the first half predicts the middle; the mean over the whole moves the axis.
-                if stage == 0:
-                    decay = exp(-middle / p.lag_time)
-                    mean = fed + (x.lag - fed) * (1.0 - decay) * p.lag_time / middle
-                else:
-                    decay = decay * decay
-                    mean = fed + (x.lag - fed) * (1.0 - decay) * p.lag_time / h
-                if has.dead_band:
-                    lagging = fed + (x.lag - fed) * decay
-                    upper = p.lag_dead_band * p.dead_band_forward
-                    lower = p.lag_dead_band * p.dead_band_reverse
-                    mean = mean_beyond(x.lag, lagging, mean, upper, lower)
-            torque = p.input_gain * mean
-            pull = 0.0
-            if has.load:
-                pull = load(place, speed_l, moment, k.moment, p)
-            resist_l = drag(place, speed_l, p)
-            resist_m = resist_l
-            if speed_m != speed_l:
-                resist_m = drag(place, speed_m, p)
-
-            push_m = torque + share * resist_m
-            if has.bristle:
-                leaning = x.bend
-                if stage == 1:
-                    leaning = bent_by(x.bend, 0.5 * middle * (x.motor_velocity + speed_m), p.presliding_travel)
-                held = bristle(leaning, p)
-                push_m = push_m + held
-            push_l = pull + (1.0 - share) * resist_l
-            if has.rider:
-                if stage == 0:
-                    tug = tugging(x.ride, x.ride_velocity, p.flexible_load_stiffness, p.flexible_load_damping)
-                else:
-                    ride = x.ride + middle * x.ride_velocity
-                    speed = x.ride_velocity - speed_l + x.velocity - middle * tug
-                    tug = tugging(ride, speed, p.flexible_load_stiffness, p.flexible_load_damping)
-                drawn = rider(tug, p)
-                push_l = push_l + drawn
-            if has.shaft:
-                turn_m = shaft(place + twist, p)
-                turn_l = shaft(place, p)
-                push_m = push_m + turned * turn_m
-                push_l = push_l + (1.0 - turned) * turn_l
-            # What the teeth transmit: the spring's torque, or what makes two bodies move as one.
-            through = 0.0
-            if elastic == 1:
-                through = tension(twist, speed_m - speed_l, side, half, stiffness, damping)
-                push_m = push_m - through
-                push_l = push_l + through
-            elif side != 0:
-                through = (push_m * mass_l - push_l * mass_m) * per_total
-                if side * through < 0.0 and side != 2:
-                    through = 0.0
-            left_m = push_m
-            left_l = push_l
-            left = push_m + push_l
-            if has.grip:
-                forward = 0.0
-                reverse = 0.0
-                # Only what is at rest needs both.
-                if x.motor_velocity >= 0.0 or x.velocity >= 0.0:
-                    forward = grip(place, speed_l, 1.0, through, moment, p)
-                    if forward < 0.0:
-                        forward = 0.0
-                if x.motor_velocity <= 0.0 or x.velocity <= 0.0:
-                    reverse = grip(place, speed_l, -1.0, through, moment, p)
-                    if reverse < 0.0:
-                        reverse = 0.0
-                left_m = net(push_m, dry * forward, dry * reverse, x.motor_velocity)
-                left_l = net(push_l, (1.0 - dry) * forward, (1.0 - dry) * reverse, x.velocity)
-                left = net(left, forward, reverse, x.velocity)
-            together = 0
-            if elastic == 0:
-                if side == 2 or (side != 0 and side * (left_m * mass_l - left_l * mass_m) >= 0.0):
-                    together = 1
-            if together == 1:
-                gain_l = left * per_total
-                gain_m = gain_l
-            else:
-                gain_m = left_m * per_m
-                gain_l = left_l * per_l
-
+                middle_of_piece(x, p, s)
+            drive_torque(x, p, s)
+            torques(x, p, k, s)
+            transmission(s)
+            accelerations(x, p, s)
             if flow == 1:
-                # What friction holds does not move, and the other body swings against it.
-                yields_m = per_m
-                yields_l = per_l
-                if has.grip:
-                    if x.motor_velocity == 0.0 and left_m == 0.0:
-                        yields_m = 0.0
-                    if x.velocity == 0.0 and left_l == 0.0:
-                        yields_l = 0.0
-                if stage == 1 and yields_m + yields_l != yields:
-                    holds = 0
-                yields = yields_m + yields_l
-                after_l = x.velocity
-                after_m = x.motor_velocity
-                twist_after = x.gap
-                closing_after = closing
-                if yields > 0.0 and holds == 1:
-                    free_m = left_m + through
-                    free_l = left_l - through
-                    apart = free_m * yields_m - free_l * yields_l
-                    bent = apart - yields * stiffness * (x.gap - lean)
-                    lasts = middle
-                    if stage == 0:
-                        hook = yields * stiffness
-                        loss = yields * damping * middle
-                        bend = hook * middle * middle - 0.25 * loss * loss
-                        fades = exp(-0.5 * loss)
-                        swing = cos_of_root(bend)
-                        sway = sinc_of_root(bend)
-                        turn = middle * fades * sway
-                        whole = fades * (swing + 0.5 * loss * sway)
-                    else:
-                        # Once more as far.
-                        lasts = h
-                        first = turn
-                        turn = first * (2.0 * whole - yields * damping * first)
-                        whole = whole * whole - hook * first * first
-                    twist_after = x.gap + turn * closing + (1.0 - whole) * bent / hook
-                    closing_after = (whole - turn * yields * damping) * closing + turn * bent
-                    given = (apart * lasts - closing_after + closing) / yields
-                    after_m = x.motor_velocity + yields_m * (free_m * lasts - given)
-                    after_l = x.velocity + yields_l * (free_l * lasts + given)
-                    if stage == 1:
-                        shift = (0.5 * apart * h * h - twist_after + x.gap + closing * h) / yields
-                        travel = h * x.velocity + yields_l * (0.5 * h * h * free_l + shift)
-                if after_l * x.velocity <= 0.0 and after_l != x.velocity:
-                    holds = 0
-                if after_m * x.motor_velocity <= 0.0 and after_m != x.motor_velocity:
-                    holds = 0
-                if side != 2:
-                    if tension(twist_after, closing_after, side, half, stiffness, damping) == 0.0:
-                        holds = 0
-                if has.end_stop:
-                    if x.position + travel > p.stop_upper or x.position + travel < p.stop_lower:
-                        holds = 0
+                mobility(x, s)
+                swing(x, s)
+                swing_holds(x, p, s)
                 if holds == 0:
                     break
         if holds == 1:
             break
-
     span = h
-    before = x.motor_velocity
+    before_m = x.motor_velocity
     before_l = x.velocity
     if flow == 1:
         x.position = x.position + travel
@@ -630,72 +720,9 @@ def piece(x, p, k, command, h):
         x.velocity = after_l
         x.motor_velocity = after_m
     else:
-        event = 0
-        stop = stopping(x.velocity, gain_l, h)
-        if stop < span:
-            event = 1
-            span = stop
-        if together == 0:
-            relative = gain_m - gain_l
-            stop = stopping(x.motor_velocity, gain_m, h)
-            if stop < span:
-                event = 2
-                span = stop
-            if side != 2:
-                meet = reaching(half - x.gap, closing, relative, h)
-                if meet < span:
-                    event = 3
-                    span = meet
-                meet = reaching(-half - x.gap, closing, relative, h)
-                if meet < span:
-                    event = 4
-                    span = meet
-        if has.end_stop:
-            meet = reaching(p.stop_upper - x.position, x.velocity, gain_l, h)
-            if meet < span:
-                event = 5
-                span = meet
-            meet = reaching(p.stop_lower - x.position, x.velocity, gain_l, h)
-            if meet < span:
-                event = 6
-                span = meet
-        if together == 0:
-            x.gap = x.gap + span * (closing + 0.5 * span * (gain_m - gain_l))
-        x.position = x.position + span * (x.velocity + 0.5 * span * gain_l)
-        x.velocity = x.velocity + span * gain_l
-        x.motor_velocity = x.motor_velocity + span * gain_m
-        if event == 1:
-            x.velocity = 0.0
-        elif event == 2:
-            x.motor_velocity = 0.0
-        elif event == 3:
-            x.gap = half
-        elif event == 4:
-            x.gap = -half
-        elif event == 5:
-            x.position = p.stop_upper
-        elif event == 6:
-            x.position = p.stop_lower
-        if together == 1:
-            x.motor_velocity = x.velocity
-
-    if has.motor_lag:
-        if span < h:
-            decay = exp(-span / p.lag_time)
-        x.lag = fed + (x.lag - fed) * decay
-    if has.thermal_fade:
-        x.heat = warm + (x.heat - warm) * exp(-span / p.fade_time)
-    if has.bristle:
-        leaning = bent_by(x.bend, 0.5 * span * (before + x.motor_velocity), p.presliding_travel)
-        x.bend = leaning
-    if has.rider:
-        # It stays behind by what the link gains.
-        x.ride = x.ride + 0.5 * span * x.ride_velocity
-        slows = 0.5 * span * p.flexible_load_damping
-        kept = x.ride_velocity * (1.0 - slows) - x.velocity + before_l - span * p.flexible_load_stiffness * x.ride
-        x.ride_velocity = kept / (1.0 + slows)
-        x.ride = x.ride + 0.5 * span * x.ride_velocity
-    x.time = x.time + span
+        next_event(x, p, s)
+        move(x, p, s)
+    memories(x, p, s)
     return span
 
 
@@ -729,8 +756,9 @@ def step(x, p, k, command, h):
     return remaining
 
 
-#: The stepper's functions, in the order in which they call one another.
+#: The stepper's functions and their sections, in the order in which they call one another.
 STEPPER = (
-    net, tension, reaching, stopping, faded, cos_of_root, sinc_of_root, clipped, beyond, mean_beyond, bent_by, tugging,
-    halved, piece, step,
+    *STATIONS, net, reaching, stopping, faded, cos_of_root, sinc_of_root, mean_beyond, bent_by, halved,
+    bodies, contact, length_at_contact, length_at_loads, unset, start_of_piece, middle_of_piece, drive_torque, torques,
+    transmission, accelerations, mobility, swing, swing_holds, next_event, move, memories, piece, step,
 )  # fmt: skip

@@ -36,11 +36,7 @@ from twin.simulation.compile_cache import module_of
 FloatArray = NDArray[np.float64]
 Lanes = NDArray[np.float32]
 _LOOPS = (
-    kalman_loops.believing,
-    kalman_loops.spreading,
-    kalman_loops.correcting,
-    kalman_loops.predict,
-    kalman_loops.predict_t,
+    *kalman_loops.LOOPS,
     likelihood_loops.judging,
     likelihood_loops.normalising,
     likelihood_loops.scaling,
@@ -63,8 +59,9 @@ NAMED = EVERYTHING.without(*UNKNOWN)
 
 #: The files that the kernel is written from.
 _SOURCES = (
-    "effects/*.py", "model/stepper.py", "model/equations.py", "codegen/python.py", "codegen/forward_derivative.py",
-    "codegen/kalman_loops.py", "codegen/likelihood_loops.py", "codegen/simd_derivatives.py", "simulation/kernel.py",
+    "effects/*.py", "model/stations.py", "model/stepper.py", "model/equations.py", "codegen/python.py",
+    "codegen/sections.py", "codegen/forward_derivative.py", "codegen/kalman_loops.py", "codegen/likelihood_loops.py",
+    "codegen/simd_derivatives.py", "simulation/kernel.py",
 )  # fmt: skip
 
 _LOADING = Lock()
