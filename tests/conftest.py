@@ -18,12 +18,17 @@ LONG = ("test_masked_pairs", "test_undecided")
 def pytest_configure(config: pytest.Config) -> None:
     if hasattr(config, "workerinput") or config.option.collectonly or not config.getoption("numprocesses", 0):
         return
+    import controlled_axis
+
     from twin.estimation import preparation
     from twin.simulation import kernel
 
     base = preparation.base_structure()
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
-        list(pool.map(kernel.warm, (base, base.with_("unknown_time"))))
+        compiled = [pool.submit(kernel.warm, structure) for structure in (base, base.with_("unknown_time"))]
+        compiled.append(pool.submit(controlled_axis.run_loop))
+        for one in compiled:
+            one.result()
 
 
 class ByFile(LoadScopeScheduling):

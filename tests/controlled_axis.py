@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from twin.control import design, monte_carlo
+from twin.control.reference import make_reference
 from twin.effects.catalogue import BASE
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
@@ -25,3 +27,10 @@ def axis(*effects: str, **values: float) -> Model:
     usual = {"input_gain": 0.3, "viscous_friction": 1.5, "dead_band_forward": 6.0, "dead_band_reverse": 4.0}
     start = {p.name: p.start for p in structure.parameters} | usual | {"backlash_gap": 0.0} | values
     return Model(structure, start, resolution=2 * math.pi / 10000, torque_density=1e-4)
+
+
+def run_loop() -> None:
+    """Have the compiled loop made where this machine has not yet."""
+    model = axis()
+    made = design.design(model, 2.0)
+    monte_carlo.trial(model, made, make_reference("step", made))

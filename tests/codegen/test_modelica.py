@@ -25,6 +25,7 @@ BEYOND = ("input_delay",)
 ALONE = [i for i in EFFECTS if i not in (*BASE, *BEYOND)]
 STRUCTURES = {
     "one body": Structure.of(("inertia", "viscous_friction")),
+    "one body and its load": Structure.of(("inertia", "viscous_friction", "load_dependent_friction", "gravity")),
     "rigid gap": Structure.of(BASE),
     "rigid gap and friction": Structure.of((*BASE, "coulomb_friction")),
     **{i: Structure.of((*BASE, "tooth_compliance", i)) for i in ALONE},

@@ -31,7 +31,7 @@ def _control(args: argparse.Namespace) -> int:
     if known.fitted and args.draws:
         with show_progress(args) as tell:
             tell("compiling the closed loop (once on a machine)", 0.0)
-            monte_carlo.compiled()
+            monte_carlo.serving(known, made)
             found = monte_carlo.robustness(
                 known, made, draws=args.draws, specification=args.max_peak,
                 progress=lambda done: tell("trying what the axis may be", done / args.draws),

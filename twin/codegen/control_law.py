@@ -25,8 +25,8 @@ from types import SimpleNamespace
 from typing import ClassVar
 
 from twin.codegen import c
+from twin.codegen.python import Numbering, numbering, resolve
 from twin.codegen.python import module as axis_module
-from twin.codegen.python import numbering, resolve
 from twin.model.stations import back_emf, behind_lag, clipped, dry_friction
 from twin.model.stepper import EVERYTHING, STATES, Structure
 
@@ -421,10 +421,10 @@ def sampled_text() -> str:
     return ast.unparse(ast.fix_missing_locations(_Name().visit(ast.parse(text))))
 
 
-def module(structure: Structure, switched: bool = False) -> ast.Module:
+def module(structure: Structure, numbers: Numbering | None = None) -> ast.Module:
     """Laws, stepper and controller of a structure as one syntax tree."""
-    axis = axis_module(structure, switched)
-    return ast.Module([*axis.body, *resolve(sampled_text(), numbering(structure, switched)).body], [])
+    numbers = numbers or numbering(structure, False)
+    return ast.Module([*axis_module(structure, numbers=numbers).body, *resolve(sampled_text(), numbers).body], [])
 
 
 def write(structure: Structure) -> str:
@@ -459,7 +459,7 @@ def write_c(structure: Structure, queue: int) -> str:
     return "#include <math.h>\n#include <stddef.h>\n\n" + c.functions(tree, "sample")
 
 
-def write_switched() -> str:
-    """The same with every effect behind a switch, for one compiled kernel."""
-    tree = module(EVERYTHING, True)
+def write_switched(offered: Structure) -> str:
+    """The same with each effect on offer behind a switch, for one compiled kernel."""
+    tree = module(EVERYTHING, numbering(EVERYTHING, True).offering((), offered.ids))
     return "from math import cos, exp, floor, sin, sqrt, tanh\n\n\n" + ast.unparse(tree) + "\n"

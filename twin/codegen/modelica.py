@@ -51,7 +51,15 @@ _RESTING = "start = 0, fixed = true"
 
 
 class _Printer(StrPrinter):  # type: ignore[misc]
-    """Expressions in Modelica."""
+    """Expressions in Modelica, with other names for some symbols."""
+
+    def __init__(self, given: Mapping[str, str]) -> None:
+        super().__init__()
+        self.given = given
+
+    def _print_Symbol(self, expr: sympy.Symbol) -> str:
+        name = str(expr.name)
+        return self.given.get(name, name).removeprefix("p.")
 
     def _print_Pow(self, expr: sympy.Expr, rational: bool = False) -> str:
         base, exponent = expr.args
@@ -181,13 +189,9 @@ class _Axis:
         return " + ".join(laws) or "0"
 
 
-def _printed(expression: sympy.Expr, given: Mapping[str, str] | None = None) -> str:
+def _printed(formula: sympy.Expr, given: Mapping[str, str] | None = None) -> str:
     """A formula with the names of the block: parameters lose their prefix, others are as `given`."""
-    names = {
-        s: sympy.Symbol((given or {}).get(s.name, s.name).removeprefix("p."), real=True)
-        for s in expression.free_symbols
-    }
-    return str(_Printer().doprint(expression.xreplace(names)))
+    return str(_Printer(given or {}).doprint(formula))
 
 
 def _law(effect: str, given: dict[str, str]) -> str:
@@ -263,7 +267,8 @@ def _transmitted(axis: _Axis) -> str:
         # Each body is half of the axis, as far as the teeth are concerned.
         push_m, push_l, resist = (sympy.Symbol(n, real=True) for n in ("push_motor", "push_link", "resist_link"))
         half = sympy.Rational(1, 2)
-        return axis.station(carried, push_m + half * resist, push_l - half * resist, half, mass - half, 1 / mass)
+        through = axis.station(carried, push_m + half * resist, push_l - half * resist, half, mass - half, 1 / mass)
+        return f"({through})"
     if axis.model.structure.elastic:
         return "contact"
     # Rigid teeth knock without friction: what holds them together counts, not the blow of the spring instead.

@@ -1,7 +1,8 @@
 """The loop over everything that the identified parameters may be: compiled, by the hundred.
 
-The plant is drawn from the model's covariance; the controller stays. One kernel serves all structures: laws,
-stepper and controller with every effect behind a switch, compiled once per machine and kept.
+The plant is drawn from the model's covariance; the controller stays. One kernel serves all structures: laws, stepper
+and controller with every effect behind a switch, compiled once per machine and kept. Where there are shapes
+without a name there is one with these.
 """
 
 from __future__ import annotations
@@ -25,11 +26,12 @@ from twin.codegen import control_law
 from twin.codegen.python import numbering, resolve
 from twin.control.controller import Controller
 from twin.control.reference import Reference, check, make_reference
+from twin.effects.catalogue import UNKNOWN
 from twin.errors import BadInput
 from twin.model.fitted_model import Model
-from twin.model.stepper import EVERYTHING, STATES
+from twin.model.stepper import EVERYTHING, STATES, Structure
 from twin.simulation.compile_cache import module_of
-from twin.simulation.kernel import known_vector, start_state, vector
+from twin.simulation.kernel import NAMED, known_vector, start_state, vector
 
 FloatArray = NDArray[np.float64]
 DRAWS = 200
@@ -50,20 +52,25 @@ class _Plant(ast.NodeTransformer):
         return node
 
 
-def kernel_text() -> str:
-    """The whole source that is compiled."""
+def kernel_text(offered: Structure) -> str:
+    """The whole source that is compiled, for structures made of the effects on offer."""
     loop = _Plant().visit(ast.parse(textwrap.dedent(inspect.getsource(control_law.follow))))
-    text = control_law.write_switched() + "\n\n"
+    text = control_law.write_switched(offered) + "\n\n"
     text += ast.unparse(resolve(ast.unparse(ast.fix_missing_locations(loop)), numbering(EVERYTHING, True)))
     text = text.replace("\ndef ", "\n@kept\n@njit(nogil=True, error_model='numpy')\ndef ")
     return "from numba import njit\nfrom twin.simulation.compile_cache import kept\n" + text + "\n"
 
 
 @cache
-def compiled() -> ModuleType:
+def compiled(offered: Structure) -> ModuleType:
     """The kernel's module; compiles on the first call on a machine."""
-    text = kernel_text()
+    text = kernel_text(offered)
     return module_of("twin_loop_" + hashlib.sha256(text.encode()).hexdigest()[:16], lambda: text)
+
+
+def serving(model: Model, controller: Controller) -> ModuleType:
+    """The kernel that has the laws of both: shapes without a name, which take long to compile, only where they are."""
+    return compiled(NAMED.with_(*(i for i in UNKNOWN if i in model.structure or i in controller.structure)))
 
 
 def trial(model: Model, controller: Controller, reference: Reference) -> tuple[FloatArray, FloatArray]:
@@ -73,7 +80,7 @@ def trial(model: Model, controller: Controller, reference: Reference) -> tuple[F
     states = len(STATES)
     start = start_state(float(reference.position[0]), 0.0, 0.0)
     start[-1] = model.time_start
-    compiled().follow(
+    serving(model, controller).follow(
         reference.time,
         reference.position,
         reference.velocity,
@@ -152,7 +159,7 @@ def robustness(
         raise BadInput(f"{draws} draws say nothing: ask for 2 or more")
     plants = draw(model, draws, seed=0)
     rms, peak = np.empty(draws), np.empty(draws)
-    compiled()
+    serving(model, controller)
 
     def one(i: int) -> None:
         position, _ = trial(plants[i], controller, wanted)
