@@ -156,7 +156,7 @@ def test_every_effect_is_cancelled_for_a_gain_or_named_as_what_cannot_be(effect:
 
 
 def test_a_shape_without_a_name_is_compiled_beside_the_named_effects() -> None:
-    model = axis("unknown_time", **MORE["unknown_time"])
+    model = axis("unknown_angle", **MORE["unknown_angle"])
     made = design(model)
     reference = make_reference("minimum-jerk", made, duration=2.0)
     np.testing.assert_allclose(trial(model, made, reference)[0], simulate(model, made, reference).position, atol=1e-9)
