@@ -11,7 +11,7 @@ from twin.control.reference import TRAVEL
 from twin.io.recording import Recording
 
 STEP, GAIN, FRICTION, DEAD_BAND = 0.005, 6.0, 5.0, 8.0
-PER_RADIAN = 4096 / (2 * math.pi)
+PER_RADIAN = 4.096 / (2 * math.pi)  # thousands of counts
 
 
 def recording(per_unit: float, unit: str) -> Recording:
@@ -24,14 +24,14 @@ def recording(per_unit: float, unit: str) -> Recording:
     for k in range(time.size - 1):
         speed[k + 1] = decay * speed[k] + (1.0 - decay) / FRICTION * drive[k]
         position[k + 1] = position[k] + drive[k] / FRICTION * STEP - (speed[k + 1] - speed[k]) / FRICTION
-    read = np.round(position * PER_RADIAN) * per_unit / PER_RADIAN
-    return Recording("steps", time, duty, read, "%", unit, per_unit / PER_RADIAN)
+    read = np.round(1e3 * position * PER_RADIAN) * 1e-3 * per_unit / PER_RADIAN
+    return Recording("steps", time, duty, read, "%", unit, 1e-3 * per_unit / PER_RADIAN)
 
 
 def test_parameters_scale_with_the_unit() -> None:
     in_rad = twin.identify(recording(1.0, "rad"), method="two-stage")
-    in_counts = twin.identify(recording(PER_RADIAN, "count"), method="two-stage")
-    assert in_counts.axis_unit == "count" and in_counts.unit("input_gain") == "count/s^2/%"
+    in_counts = twin.identify(recording(PER_RADIAN, "kcount"), method="two-stage")
+    assert in_counts.axis_unit == "kcount" and in_counts.unit("input_gain") == "kcount/s^2/%"
     assert in_counts.values["input_gain"] == pytest.approx(GAIN * PER_RADIAN, rel=0.02)
     for name in in_rad.fitted:
         factor = PER_RADIAN if in_rad.unit(name).startswith("rad") else 1.0
@@ -39,9 +39,9 @@ def test_parameters_scale_with_the_unit() -> None:
 
 
 def test_a_model_in_counts_goes_all_the_way(tmp_path: Path) -> None:
-    model = twin.identify(recording(PER_RADIAN, "count"), method="two-stage")
-    assert twin.Model.read(model.write(tmp_path / "m.toml")).axis_unit == "count"
+    model = twin.identify(recording(PER_RADIAN, "kcount"), method="two-stage")
+    assert twin.Model.read(model.write(tmp_path / "m.toml")).axis_unit == "kcount"
     fmu = twin.export_fmu(model, tmp_path / "arm.fmu")
     controller = twin.design_controller(model, bandwidth=1.0)
     tracked = twin.cosimulate(fmu, controller)
-    assert tracked.peak < 0.1 * TRAVEL["count"]
+    assert tracked.peak < 0.1 * TRAVEL["kcount"]

@@ -147,20 +147,22 @@ def test_counts_fix_the_resolution(tmp_path: Path) -> None:
         ('unit = "rpm"', ("deg", 360.0), ("rpm", 60.0)),
         ('unit = "rev"', ("deg", 360.0), ("rpm", 60.0)),
         ('unit = "rad"', None, None),
-        ('unit = "count"', None, None),  # the axis itself moves in counts
+        ('unit = "count"', ("counts", 1000.0), ("counts/s", 1000.0)),  # the axis itself moves in thousands of them
     ],
 )
 def test_a_turn_in_the_rig_s_own_unit(
     tmp_path: Path, output: str, angle: tuple[str, float] | None, speed: tuple[str, float] | None
 ) -> None:
-    """And a turn per second."""
+    """And a turn per second; of an axis in thousands of counts, one of these."""
     (tmp_path / "rig.toml").write_text(RIG.replace('unit = "rad"', output))
     rig = read_rig(tmp_path / "rig.toml")
-    for unit, wanted in (("rad", angle), ("rad/s", speed)):
+    axis = rig.output.unit.removesuffix("/s")
+    turn = 2.0 * math.pi if axis == "rad" else 1.0
+    for unit, wanted in ((axis, angle), (f"{axis}/s", speed)):
         own = rig.own_unit(unit)
         assert (own is None) == (wanted is None)
         if own and wanted:
-            assert own[0] == wanted[0] and 2.0 * math.pi * own[1] == pytest.approx(wanted[1])
+            assert own[0] == wanted[0] and turn * own[1] == pytest.approx(wanted[1])
     assert rig.own_unit("rad/s^2") is None and rig.own_unit("1") is None and rig.own_unit("m") is None
 
 
@@ -347,8 +349,8 @@ def test_an_axis_of_unknown_counts_per_revolution_is_in_counts(tmp_path: Path) -
         '[input]\ncolumn = "duty"\nunit = "%"\n[output]\ncolumn = "counts"\nunit = "count"\nscale = -1\n'
     )
     (recording,), _ = load([write_csv(tmp_path / "log.csv", {"t": TIME, "duty": DUTY, "counts": counts})])
-    np.testing.assert_array_equal(recording.output, -counts)
-    assert (recording.output_unit, recording.resolution, recording.is_angle) == ("count", 1.0, False)
+    np.testing.assert_allclose(recording.output, -counts / 1000)
+    assert (recording.output_unit, recording.resolution, recording.is_angle) == ("kcount", 0.001, False)
 
 
 def write_parquet(path: Path) -> None:

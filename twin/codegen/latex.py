@@ -117,7 +117,7 @@ _ARGUMENTS = {
 }
 #: A law with more parameters than this is a table; it is written as a function of what it reads.
 _MOST = 6
-_COORDINATES = {"rad": r"\theta", "m": "x", "count": "n"}
+_COORDINATES = {"rad": r"\theta", "m": "x", "kcount": "n"}
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from twin.io.units import POSITION_UNITS, SPEED_UNITS, TIME_UNITS, Units
 
 FloatArray = NDArray[np.floating[Any]]
 KINDS = ("minimum-jerk", "sine", "step")
-TRAVEL = {"rad": 1.0, "m": 0.1, "count": 500.0}  # unless an amplitude is given
+TRAVEL = {"rad": 1.0, "m": 0.1, "kcount": 0.5}  # unless an amplitude is given
 _ACCELERATION_UNITS: Units = {f"{u}/s": (f"{kept}^2", factor) for u, (kept, factor) in SPEED_UNITS.items()} | {
     f"{unit}^2": (f"{kept}^2", factor) for unit, (kept, factor) in SPEED_UNITS.items()
 }

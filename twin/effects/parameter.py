@@ -10,7 +10,7 @@ from dataclasses import dataclass
 class Parameter:
     """One number of a law, with everything a reader, a file or an importer needs to know about it.
 
-    `unit` may hold the placeholders `{x}` (rad or m, the axis) and `{u}` (the unit of the input).
+    `unit` may hold the placeholders `{x}` (rad, m or kcount, the axis) and `{u}` (the unit of the input).
     `neutral` is the value at which the effect is absent, or None where the value then does not matter.
     `estimated` is False for numbers that describe the law and are not fitted; `acts_on` names the effect or slot
     without which the number has nothing to act on.
@@ -27,7 +27,7 @@ class Parameter:
     acts_on: str = ""
 
     def unit_for(self, axis: str, drive: str) -> str:
-        """The unit on a given rig: `axis` is "rad", "m" or "count", `drive` the unit of the input."""
+        """The unit on a given rig: `axis` is "rad", "m" or "kcount", `drive` the unit of the input."""
         unit = self.unit.format(x=axis, u=drive)
         return "1" if unit == "rad/rad" else unit
 

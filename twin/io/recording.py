@@ -41,7 +41,7 @@ _FULL, _PAUSE = 1e4, 1e5
 _WITNESSES = 3
 _NOMINAL = "supply_nominal"
 #: What a radian at the gears makes of each unit of the output: the radius of a usual pinion, m, and an encoder of 4096.
-_LEVERS = {"rad": 1.0, "m": 0.02, "count": 4096 / (2 * math.pi)}
+_LEVERS = {"rad": 1.0, "m": 0.02, "kcount": 4.096 / (2 * math.pi)}
 _NO_HEADER = " (the file has no header: a column is named by its number, from 1)"
 #: Known quantities that mean something to twin; others may be there for the gains of a loop.
 MEANT = ("inertia", "mass", _NOMINAL, "payload_mass", "arm_length", "arm_mass", "payload_inertia", "payload_moment")
@@ -79,7 +79,7 @@ class Recording(Tabular):
     input: FloatArray
     output: FloatArray
     input_unit: str  # "%", "V", "A", "N*m", "N"
-    output_unit: str  # "rad", "m", "count", "rad/s", "m/s", "count/s"
+    output_unit: str  # "rad", "m", "kcount", "rad/s", "m/s", "kcount/s"
     resolution: float = 0.0
     role: str = "train"  # "train" | "holdout"
     known: Mapping[str, float] = field(default_factory=dict)
@@ -673,7 +673,7 @@ def _known(rig: Rig, table: Table, entry: Entry) -> dict[str, float]:
         near = [] if key in MEANT else get_close_matches(key, MEANT, 1, 0.85)
         if near:
             raise BadInput(f"{said}: unknown quantity '{key}'; did you mean '{near[0]}'?")
-        if key in MEANT and key != _NOMINAL and rig.output.unit.startswith("count"):
+        if key in MEANT and key != _NOMINAL and rig.output.unit.startswith("kcount"):
             raise BadInput(
                 f"{said}: {key} says nothing of an axis in counts; give counts_per_revolution in [output] of the rig "
                 "file"

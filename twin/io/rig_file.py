@@ -1,8 +1,8 @@
 """What the columns of a recording are: the rig file (rig.toml), or a guess from the column names.
 
 Every unit that a user may write is converted to one of `%, V, A, N*m, N` for the input and one of
-`rad, m, count, rad/s, m/s, count/s` for the output. What the user writes is `value = (raw - offset) * scale`, in
-`unit`. An axis is in counts where the counts per revolution are not known.
+`rad, m, kcount, rad/s, m/s, kcount/s` for the output. What the user writes is `value = (raw - offset) * scale`, in
+`unit`. An axis is in thousands of counts where the counts per revolution are not known.
 """
 
 import math
@@ -212,10 +212,11 @@ def _check_one_axis_unit(rig: Rig) -> None:
     axis = rig.output.unit.removesuffix("/s")
     units = {key: rig.optional[key].unit.removesuffix("/s") for key in _MOTIONS if key in rig.optional}
     for key, unit in units.items():
-        if unit != axis and "count" in (unit, axis):
-            place = "[output]" if axis == "count" else f"[optional.{key}]"
+        if unit != axis and "kcount" in (unit, axis):
+            place = "[output]" if axis == "kcount" else f"[optional.{key}]"
+            said, other = (u.removeprefix("k") for u in (axis, unit))
             raise BadInput(
-                f"{rig.name}: [output] is in {axis} and [optional.{key}] in {unit}: give counts_per_revolution in "
+                f"{rig.name}: [output] is in {said} and [optional.{key}] in {other}: give counts_per_revolution in "
                 f"{place}"
             )
 
@@ -251,7 +252,8 @@ def _column(table: Mapping[str, Any], units: Units, where: str, more: Sequence[s
     if per_revolution is not None and per_revolution <= 0:
         raise BadInput(f"{where}: counts_per_revolution = {per_revolution:g} must be greater than 0")
     if written in ("count", "count/s"):
-        unit, factor = (written, 1.0) if per_revolution is None else (unit, factor / per_revolution)
+        thousands = (f"k{written}", 1e-3)  # of counts: an encoder's turn is then of the size of a radian
+        unit, factor = thousands if per_revolution is None else (unit, factor / per_revolution)
     bits = _number(table, "signed_bits", where) if "signed_bits" in table else 0
     if bits not in (0, 8, 16, 32):
         raise BadInput(f"{where}: signed_bits = {bits:g} is no width of an integer; give 8, 16 or 32")

@@ -409,7 +409,9 @@ def _output_section(name: str, values: FloatArray, table: Table, position: bool,
     section = Section({"column": name, "unit": unit})
     if unit in ("count", "count/s"):
         section.remarks["unit"] = "counts_per_revolution = ..., after quadrature and gear, makes angles of them"
-        unsure.append("the axis is in counts: counts_per_revolution, which no log shows, makes it an angle")
+        unsure.append(
+            "the axis is in thousands of counts (kcount): counts_per_revolution, which no log shows, makes it an angle"
+        )
     return section
 
 

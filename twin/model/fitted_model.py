@@ -204,8 +204,8 @@ def read_structure(where: str, table: Mapping[str, Any], key: str) -> Structure:
 def read_units(where: str, axis: Mapping[str, Any]) -> tuple[str, str]:
     """The units of axis and input that a file names. Raises BadInput."""
     unit, input_unit = axis.get("unit", "rad"), axis.get("input_unit", "%")
-    if unit not in ("rad", "m", "count"):
-        raise BadInput(f'{where}: [axis] unit is {unit!r}: use "rad", "m" or "count"')
+    if unit not in ("rad", "m", "kcount"):
+        raise BadInput(f'{where}: [axis] unit is {unit!r}: use "rad", "m" or "kcount"')
     if input_unit not in tuple(INPUT_NAMES):
         raise BadInput(f"{where}: [axis] input_unit is {input_unit!r}: use one of {', '.join(INPUT_NAMES)}")
     return unit, input_unit
