@@ -78,6 +78,19 @@ def test_every_package_says_what_it_is_for():
         assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), path
 
 
+def lengths(path: Path) -> dict[str, int]:
+    """Lines of each function of a file, docstrings apart."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    functions = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+    first = {f.name: f.body[1 if ast.get_docstring(f) and len(f.body) > 1 else 0] for f in functions}
+    return {f.name: (f.end_lineno or 0) - first[f.name].lineno + 1 for f in functions}
+
+
+def test_no_function_is_longer_than_sixty_lines():
+    long = {(path.name, name): size for path in modules() for name, size in lengths(path).items() if size > 60}
+    assert not long, "split them into stages with names; a text of the stepper's language into sections"
+
+
 def test_the_root_only_maps_names_to_modules():
     root = ast.parse((ROOT / "twin" / "__init__.py").read_text(encoding="utf-8"))
     for node in root.body:

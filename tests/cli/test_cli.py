@@ -284,12 +284,15 @@ def test_a_controller_of_a_turning_axis_moves_no_carriage(capsys, bench):
     assert "moves in rad" in refused(capsys, bench, "cosim", "arm.fmu", "m.toml")
 
 
-def test_a_full_disk_is_told_in_one_line(capsys, bench, monkeypatch):
-    def full(*given):
-        raise OSError(28, "No space left on device", "somewhere")
-
-    monkeypatch.setattr(python_fmu, "export", full)
-    assert "No space left" in refused(capsys, bench, "export", "model.toml", "--out", "new.fmu")
+def test_a_disk_that_takes_no_more_is_told_in_one_line(capsys, bench, no_zig):
+    resource = pytest.importorskip("resource")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+        said = refused(capsys, bench, "export", "model.toml", "--out", "new.fmu")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert "File too large" in said
 
 
 def test_a_folder_with_results_is_not_overwritten(capsys, bench):
