@@ -195,7 +195,7 @@ def prepare_recording(
     drive = Drive(
         time=np.ascontiguousarray(time, dtype=float),
         command=np.ascontiguousarray(command, dtype=float),
-        measured=_spaced(np.asarray(time), np.asarray(measured, dtype=float)),
+        measured=_spaced(np.asarray(time), np.ascontiguousarray(measured, dtype=float)),
         speed=recording.is_speed,
         known=kernel.known_vector(known_quantities(recording)),
         law=law,
