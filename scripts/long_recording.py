@@ -1,7 +1,7 @@
-"""Time and memory that `twin identify` takes on recordings of up to an hour at 2 ms, made with the model's own kernel.
+"""Time and memory that a command takes on recordings of up to an hour at 2 ms, made with the model's own kernel.
 
-python scripts/long_recording.py                 # 4, 15 and 60 minutes
-python scripts/long_recording.py --minutes 30
+python scripts/long_recording.py                 # twin identify on 4, 15 and 60 minutes
+python scripts/long_recording.py --minutes 60 --command diagnose
 """
 
 from __future__ import annotations
@@ -52,28 +52,28 @@ def record(folder: Path, minutes: float) -> Path:
     return path
 
 
-def bench_long(minutes: Sequence[float] = (4.0, 15.0, 60.0)) -> None:
+def bench_long(minutes: Sequence[float] = (4.0, 15.0, 60.0), name: str = "identify") -> None:
     """Print samples, processor time, peak memory and the worst error of the base parameters; children one by one."""
     for length in minutes:
-        with tempfile.TemporaryDirectory() as name:
-            path = record(Path(name), length)
+        with tempfile.TemporaryDirectory() as folder:
+            path = record(Path(folder), length)
             before = resource.getrusage(resource.RUSAGE_CHILDREN)
             code = (
                 "import resource, sys; from twin.cli.main import main; done = main(sys.argv[1:]); "
                 "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024); sys.exit(done)"
             )
-            command = [sys.executable, "-c", code, "identify", str(path), "--rig", str(RIG)]
-            command += ["--out", f"{name}/model.toml", "--quiet"]
+            command = [sys.executable, "-c", code, name, str(path), "--rig", str(RIG)]
+            command += ["--out", f"{folder}/model.toml", "--quiet"]
             done = subprocess.run(
                 command, env={**os.environ, "OMP_NUM_THREADS": "1"}, check=True, capture_output=True, text=True
             )
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
-            found = fitted_model.read(Path(name) / "model.toml").values
+            found = fitted_model.read(Path(folder) / "model.toml").values
             worst = max((abs(found[n] / v - 1.0), n) for n, v in VALUES.items())
         seconds = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
         samples = int(60.0 * length / PERIOD)
         print(
-            f"twin identify, {length:3.0f} min, {samples:8d} samples: {seconds:6.0f} s of processor, peak memory "
+            f"twin {name}, {length:3.0f} min, {samples:8d} samples: {seconds:6.0f} s of processor, peak memory "
             f"{done.stdout.split()[-1]:>5} MB; furthest from its truth: {worst[1]}, {100.0 * worst[0]:.2g} %",
             flush=True,
         )
@@ -82,4 +82,6 @@ def bench_long(minutes: Sequence[float] = (4.0, 15.0, 60.0)) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--minutes", type=float, action="append", help="may be given more than once")
-    bench_long(parser.parse_args().minutes or (4.0, 15.0, 60.0))
+    parser.add_argument("--command", choices=("identify", "diagnose"), default="identify")
+    given = parser.parse_args()
+    bench_long(given.minutes or (4.0, 15.0, 60.0), given.command)

@@ -69,7 +69,7 @@ def recording_of(model: Model, seconds: float = 4.0, name: str = "axis.csv", rol
 
 @cache
 def _adequacy() -> Adequacy:
-    compared = Comparison(FreeRun(0.1, 0.012, 1e-6), FreeRun(0.01, 0.012, 0.4), 3.1)
+    compared = Comparison(FreeRun(0.1, 0.012, 1e-6, 0.024), FreeRun(0.01, 0.012, 0.4, 0.024), 3.1)
     return Adequacy(
         {"train": compared, "holdout": compared},
         missing_torque=TorqueFigures(2.8, 0.035, 0.03, 0.01, 0.002),

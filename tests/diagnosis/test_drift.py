@@ -56,6 +56,7 @@ def test_the_tail_is_that_of_draws(weights: list[float], seed: int) -> None:
     draws = np.random.default_rng(seed).standard_normal((20000, len(weights))) ** 2 @ np.array(weights)
     for quantile in (0.1, 0.5, 0.9, 0.99):
         assert null.chance(float(np.quantile(draws, quantile))) == pytest.approx(1.0 - quantile, abs=0.03)
+    assert np.mean(draws > null.exceeded(0.05)) == pytest.approx(0.05, abs=0.02)
     values = np.linspace(0.0, 8.0 * null.mean, 50)
     assert np.all(np.diff([null.chance(float(v)) for v in values]) <= 1e-6)
 
@@ -77,4 +78,4 @@ def test_what_parameters_can_follow_is_no_error_any_more() -> None:
 
 def test_nothing_random_leaves_no_doubt() -> None:
     null = MeanSquare(np.zeros(3), np.ones(3))
-    assert (null.chance(0.0), null.chance(1.0)) == (1.0, 0.0)
+    assert (null.chance(0.0), null.chance(1.0), null.exceeded(0.05)) == (1.0, 0.0, 0.0)

@@ -22,7 +22,7 @@ COUNT = 1e-3
 
 def figures(*errors: float) -> Adequacy:
     """Recordings whose own noise makes 0.01 rad, over a range of 2 rad."""
-    runs = [FreeRun(e, 0.01, 0.5 if e < 0.02 else 0.0) for e in errors]
+    runs = [FreeRun(e, 0.01, 0.5 if e < 0.02 else 0.0, 0.02) for e in errors]
     rows = tuple(("train", f"run {i}", Comparison(r, r, 2.0)) for i, r in enumerate(runs))
     return Adequacy({}, rows, TorqueFigures())
 

@@ -36,15 +36,19 @@ POINTS, FEWEST = 400, 20
 @dataclass(frozen=True)
 class FreeRun:
     """A free run: RMSE found, the one that the model's own noise makes (output unit), and the chance that noise makes
-    one as large as was found. NaN where nothing was read.
+    one as large as was found. And the RMSE that noise exceeds once in twenty times: a drift has few degrees of freedom,
+    so that it may be twice what is expected. NaN where nothing was read.
     """
 
     rmse: float
     expected: float
     p_value: float
+    largest: float
 
 
-NOTHING_READ = FreeRun(math.nan, math.nan, math.nan)
+#: How often noise exceeds `FreeRun.largest`.
+RARE = 0.05
+NOTHING_READ = FreeRun(math.nan, math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +156,7 @@ def together(errors: Sequence[Error], was_fitted: bool) -> FreeRun:
         covariance = drift.fitted(covariance, sensitivity, reading / np.maximum(share * readings, 1.0))
     null: MeanSquare = drift.mean_square(covariance, share, reading, readings)
     square = sum(e.squares for e in errors) / readings
-    return FreeRun(math.sqrt(square), math.sqrt(null.mean), null.chance(square))
+    return FreeRun(math.sqrt(square), math.sqrt(null.mean), null.chance(square), math.sqrt(null.exceeded(RARE)))
 
 
 def at_own_noise(problem: FitProblem, point: Fit) -> Fit:

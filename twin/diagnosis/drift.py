@@ -131,6 +131,15 @@ class MeanSquare:
         """Its expectation."""
         return float(self.weights @ self.freedom)
 
+    def exceeded(self, chance: float) -> float:
+        """The mean square that is exceeded with this probability."""
+        if not self.mean > 0.0:
+            return 0.0
+        high = self.mean
+        while self.chance(high) > chance:
+            high *= 2.0
+        return float(brentq(lambda value: self.chance(value) - chance, 0.0, high, xtol=1e-6 * high))
+
     def chance(self, value: float) -> float:
         """The probability of a mean square above `value`; one where nothing is random."""
         kept = self.weights > _NOTHING * float(self.weights.max(initial=0.0))

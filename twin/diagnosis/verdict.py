@@ -48,17 +48,23 @@ def is_worse(compared: Comparison) -> bool:
     rules. A model whose parameters nothing fixes expects any error.
     """
     before, after = compared.before, compared.after
-    return after.rmse > LARGER * before.rmse and not after.rmse <= min(before.expected, after.expected)
+    return after.rmse > LARGER * before.rmse and not after.rmse <= min(before.largest, after.largest)
 
 
 def vetoed(figures: Adequacy) -> bool:
-    """Whether held-out or fitted data contradict the last model: then the first is handed out."""
-    return any(is_worse(c) for c in figures.free_run.values())
+    """Whether the data that no fit has seen contradict the last model: then the first is handed out."""
+    return is_worse(_judge(figures)[1])
+
+
+def _judge(figures: Adequacy) -> tuple[str, Comparison]:
+    """The free runs through held-out data; through fitted ones where none was held out."""
+    where = "holdout" if "holdout" in figures.free_run else "train"
+    return where, figures.free_run[where]
 
 
 def vetoed_names(figures: Adequacy, last: Structure, first: Structure) -> list[NotBorneOut]:
     """The names of a last model that is not handed out, with how many times the first model's error it makes."""
-    where, compared = next((role, c) for role, c in figures.free_run.items() if is_worse(c))
+    where, compared = _judge(figures)
     ratio = compared.after.rmse / compared.before.rmse
     data = "held-out" if where == "holdout" else "fitted"
     reason = f"with it the free run on {data} data errs {ratio:.2f} times as much as the first model's"
@@ -68,7 +74,7 @@ def vetoed_names(figures: Adequacy, last: Structure, first: Structure) -> list[N
 def veto_sentence(figures: Adequacy, last: Structure, first: Structure) -> str:
     """Why the last model is not handed out."""
     titles = ", ".join(EFFECTS[i].title for i in last.named if i not in first)
-    where, compared = next((role, c) for role, c in figures.free_run.items() if is_worse(c))
+    where, compared = _judge(figures)
     data = "held-out" if where == "holdout" else "fitted"
     return (
         f"Tried, not confirmed: {titles}. With it the free run on {data} data errs {compared.after.rmse:.3g} where the "

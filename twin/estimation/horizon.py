@@ -136,10 +136,21 @@ def lacks_physics(problem: FitProblem, likeliest: Fit) -> bool:
     return bent or optimizer.is_misspecified(problem, likeliest)
 
 
-def free_run_fits(problem: FitProblem, likeliest: Fit) -> list[HorizonFit]:
-    """Fits over the whole recordings, from the likeliest values and from those without a gap, the best first."""
+def free_run_fits(problem: FitProblem, likeliest: Fit, others: Sequence[Mapping[str, float]] = ()) -> list[HorizonFit]:
+    """Fits over the whole recordings, the best first.
+
+    Parameters
+    ----------
+    problem
+        The recordings, at any process noise.
+    likeliest
+        The fit from which one search begins, and one without a gap.
+    others
+        Values of its parameters from which other searches begin: long runs have many local optima.
+    """
     problem, horizon = problem.at(likeliest.process_noise), longest_of(problem)
     starts = [likeliest, *([_without_gap(likeliest)] if "backlash_gap" in likeliest.free else [])]
+    starts += [replace(likeliest, values={**likeliest.values, **values}) for values in others]
     return sorted(each(lambda start: fit_over(problem, start, horizon), starts), key=lambda end: end.fit.deviance)
 
 
