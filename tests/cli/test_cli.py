@@ -686,6 +686,25 @@ def test_the_bar_is_drawn_and_then_gone(monkeypatch):
     assert "computing" in shown and covered.isspace() and len(covered) >= len(shown) and rest == ""
 
 
+@pytest.mark.parametrize(
+    ("sentence", "share", "says"),
+    [("round 1", 0.25, True), ("round 1", 0.01, False), ("1 of 4 axes, about 9 min left", 0.25, False)],
+)
+def test_the_bar_estimates_what_is_left(monkeypatch, sentence, share, says):
+    """From the share that is done, where the sentence does not say it better."""
+    drawn = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", drawn)
+    monkeypatch.setattr(output, "LINE", 0.2)
+    monkeypatch.setattr(output, "SETTLED", 0.1)
+    with output.show_progress(argparse.Namespace(quiet=False)) as tell:
+        tell(sentence, share)
+        deadline = time.monotonic() + 60.0
+        while sentence not in drawn.getvalue() and time.monotonic() < deadline:
+            time.sleep(0.05)
+    shown = drawn.getvalue().split("\r")[-3]
+    assert bool(re.search(r"\d\d:\d\d, about \d+ s left", shown)) == says
+
+
 def test_a_poor_console_gets_plain_text(shelf, tmp_path):
     said = program(
         "check", str(shelf / "arm.fmu"), "--log", str(shelf / "good.csv"), "--max-nrmse", "5",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import threading
+import time
 import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -19,6 +20,8 @@ Progress = Callable[[str, float], None]
 Answer = Mapping[str, Any]
 #: In a log each time that a bar is drawn is a line: so many seconds apart.
 LINE = 30.0
+#: From such a share of the work on, and after so many seconds, what is left is estimated from what is done.
+ESTIMATED_FROM, SETTLED = 0.05, 10.0
 #: So many lines on what was found in the recordings.
 MOST_LINES = 12
 
@@ -31,18 +34,28 @@ def show_progress(args: argparse.Namespace) -> Iterator[Progress]:
         return
     from tqdm import tqdm
 
+    from twin.display.numbers import time_left
+
     tty = sys.stderr.isatty()
-    shape = "{desc} {bar} {percentage:3.0f} % {elapsed}"
+    shape = "{desc} {bar} {percentage:3.0f} % {elapsed}{postfix}"
     bar = tqdm(total=100, delay=1e9, leave=False, file=sys.stderr, ncols=None if tty else 90, bar_format=shape)
     done = threading.Event()
+    began = time.monotonic()
+
+    def refresh() -> None:
+        seconds, share = time.monotonic() - began, bar.n / 100.0
+        estimated = share >= ESTIMATED_FROM and seconds >= SETTLED and not bar.desc.rstrip().endswith(" left")
+        left = time_left(seconds, share, 1.0) if estimated else ""
+        bar.set_postfix_str(left.removeprefix(", "), refresh=False)
+        bar.refresh()
 
     def draw() -> None:
         # The work says little while it computes: a bar whose clock stands still looks like one that hangs.
         if not done.wait(1.0 if tty else LINE):
             bar.delay = 0.0  # else tqdm takes the bar for one that was never drawn, and leaves it standing
-            bar.refresh()
+            refresh()
             while not done.wait(0.25 if tty else LINE):
-                bar.refresh()
+                refresh()
 
     drawing = threading.Thread(target=draw, daemon=True)
     drawing.start()

@@ -70,7 +70,7 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.0f}\u202f%"
 
 
-def time_left(seconds: float, done: int, total: int) -> str:
+def time_left(seconds: float, done: float, total: float) -> str:
     """What the rest of so many like pieces of work takes, where `done` of them took `seconds`: ", about 4 min left".
 
     Nothing before the first is done, and after the last.

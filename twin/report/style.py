@@ -32,15 +32,15 @@ code {{ font-family: ui-monospace, "SF Mono", Menlo, Consolas, "Liberation Mono"
 .remark {{ border-left: 3px solid var(--before); padding-left: 0.9rem; }}
 .note, p.note {{ color: var(--muted); font-size: 0.86rem; line-height: 1.45; }}
 td .note {{ display: block; max-width: 22rem; font-size: 0.78rem; }}
-.merits {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(10.5rem, 1fr)); gap: 0 2rem;
+.merits {{ display: flex; flex-wrap: wrap; gap: 0 2rem;
   border-top: 2px solid var(--ink); margin: 0 0 2.2rem; }}
-.merit {{ padding: 0.9rem 0 0.2rem; }}
+.merit {{ flex: 1 1 9rem; padding: 0.9rem 0 0.2rem; }}
 .merit p {{ margin: 0; }}
 .merit .value {{ font-size: 1.5rem; line-height: 1.25; letter-spacing: -0.01em; white-space: nowrap; }}
 .merit .was {{ color: var(--before); font-size: 1.02rem; }}
 .merit .to {{ color: var(--muted); font-size: 1rem; padding: 0 0.3em; }}
-.merit .label {{ font-family: var(--sans); font-size: 0.72rem; line-height: 1.35; color: var(--muted); 
-  padding-top: 0.2rem; }}
+.merit .label {{ font-family: var(--sans); font-size: 0.72rem; line-height: 1.35; color: var(--muted);
+  padding-top: 0.2rem; max-width: 12rem; }}
 .finding {{ background: var(--tint); border-radius: 8px; padding: 1.1rem 1.5rem 0.6rem; margin: 0 0 1.4rem; }}
 .finding h3 {{ margin: 0 0 0.4rem; font-size: 1.12rem; }}
 .finding .where {{ font-family: var(--sans); font-weight: 400; font-size: 0.76rem; color: var(--muted);
