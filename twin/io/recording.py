@@ -23,6 +23,7 @@ from twin.io.preflight.response import Signals
 from twin.io.preflight.standing import Columns, contradicted
 from twin.io.rig_file import Clock, Column, Direction, LoopRig, Rig, guess_time, read_rig
 from twin.io.rig_guess import Guess, guess
+from twin.io.supply import without_reading_noise
 from twin.io.tables.formats import open_tables
 from twin.io.tables.table import Table, listing
 
@@ -210,8 +211,14 @@ def as_told(recording: Recording, known: Mapping[str, float]) -> Recording:
 
 def _share_supply(recordings: list[Recording]) -> list[Recording]:
     """One axis has one supply to which the input gain refers. With one for each recording, a battery that runs down
-    would be another gain in each.
+    would be another gain in each. The noise of its readings would be noise of the command.
     """
+    recordings = [
+        replace(r, optional={**r.optional, "supply": without_reading_noise(r.optional["supply"])})
+        if "supply" in r.optional
+        else r
+        for r in recordings
+    ]
     logged = [float(np.nanmedian(r.optional["supply"])) for r in recordings if "supply" in r.optional]
     if not logged:
         return recordings
