@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from twin.io.faults import find_held
+from twin.io.faults import find_clipped, find_held
 from twin.io.recording import Recording, load
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
@@ -239,6 +241,45 @@ def test_a_sensor_that_clips_is_reported(tmp_path: Path) -> None:
     assert {f.kind for f in recording.faults} == {"saturation"}
     assert len(recording.faults) == 4
     assert np.nanmax(recording.output) <= round(1.5 / COUNT) * COUNT + 1e-12
+
+
+def speed_of(duty: np.ndarray, decay_rate: float, dry: float, dt: float) -> np.ndarray:
+    """Speed (rad/s) of an axis with viscous and dry friction under a duty (%)."""
+    speed, v = np.zeros(len(duty)), 0.0
+    for i, u in enumerate(duty):
+        speed[i] = v
+        free = v + (1.0 - math.exp(-decay_rate * dt)) * (u - v)
+        slow = dry * dt
+        v = math.copysign(max(abs(free) - slow, 0.0), free)
+    return speed
+
+
+TIME = 0.002 * np.arange(8000)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.floats(1.0, 2000.0), st.sampled_from([0.0, 60.0]), st.sampled_from([1e-3, 0.05, 1.0, 5.0]), st.booleans(),
+    st.integers(0, 99),
+)  # fmt: skip
+def test_a_speed_that_settles_or_rests_is_not_cut_off(
+    decay_rate: float, dry: float, count: float, one_way: bool, seed: int
+) -> None:
+    duty = square_wave(np.random.default_rng(seed), len(TIME))
+    speed = speed_of(np.abs(duty) if one_way else duty, decay_rate, dry, 0.002)
+    faults, out = find_clipped(TIME, np.round(speed / count) * count, count)
+    assert not faults and not out.any()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_a_speed_that_its_sensor_cuts_off_is_left_out(noise: float) -> None:
+    rng = np.random.default_rng(5)
+    speed = speed_of(square_wave(rng, len(TIME)), 8.0, 60.0, 0.002) + noise * rng.standard_normal(len(TIME))
+    cut = np.abs(speed) > 25.0
+    faults, out = find_clipped(TIME, np.clip(speed, -25.0, 25.0), 0.01)
+    assert len(faults) >= 2 and all(f.kind == "saturation" for f in faults)
+    forwards = cut & (speed > 0.0)  # backwards it is cut off once, which may be a steady speed
+    assert not np.any(out & ~forwards) and np.count_nonzero(out) > 0.95 * np.count_nonzero(forwards)
 
 
 def test_missing_cells_are_left_out_and_merged(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from twin.io.faults import (
     BoolArray,
     Fault,
     FloatArray,
+    find_clipped,
     find_contradicted,
     find_held,
     find_missing,
@@ -130,7 +131,11 @@ def clean_output(
     faults += wraps
     spikes |= find_outliers(output, resolution)
     output = np.where(spikes, np.nan, output)
-    if not column.unit.endswith("/s"):
+    if column.unit.endswith("/s"):
+        clipped, out = find_clipped(time, output, resolution)
+        faults += clipped
+        output = np.where(out, np.nan, output)
+    else:
         output, jumps = bridge_restarts(time, output, command, resolution, raw.turns)
         frozen, out = find_held(time, output, resolution)
         if speed is not None:

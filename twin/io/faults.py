@@ -233,6 +233,34 @@ def _saturated(
     return found
 
 
+def find_clipped(time: FloatArray, values: FloatArray, resolution: float) -> tuple[list[Fault], BoolArray]:
+    """Stretches of a speed at the limit of its sensor.
+
+    A drive comes to a steady speed ever more slowly, and its last steps are smaller than a count. A reading that stops
+    in full slope, again and again at the same end of its range, is cut off. Rest is no such end: dry friction brakes to
+    it in full slope. Returns the faults and the samples to leave out, those at the limit.
+    """
+    out = np.zeros(values.size, dtype=bool)
+    faults: list[Fault] = []
+    good = np.flatnonzero(np.isfinite(values))
+    if good.size < 20:
+        return faults, out
+    t, y = time[good], values[good]
+    grain = max(resolution, 1e-6 * float(np.ptp(y)))
+    for limit in (v for v in (np.min(y), np.max(y)) if abs(v) > grain):
+        held = [(a, b) for a, b in runs(y == limit) if b - a + 1 >= 10 and a >= 3]
+        steps = [np.abs(np.diff(y[a - 3 : a])) for a, _ in held]
+        in_slope = [bool(min(before, last) > 3.0 * grain and last > 0.5 * before) for before, last in steps]
+        # Noise at the limit may part one stretch into several, of which the first alone is entered in slope.
+        if sum(in_slope) < max(2, 0.5 * len(held)):
+            continue
+        for a, b in held:
+            says = f"The speed was cut off at {limit:.4g} from {t[a]:.3f} s for {t[b] - t[a]:.3f} s."
+            faults.append(Fault("saturation", float(t[a]), float(t[b]), says))
+            out[good[a] : good[b] + 1] = True
+    return faults, out
+
+
 def find_contradicted(
     time: FloatArray, values: FloatArray, speed: FloatArray, resolution: float
 ) -> tuple[list[Fault], BoolArray]:
