@@ -275,8 +275,8 @@ def test_a_speed_that_settles_or_rests_is_not_cut_off(
 def test_a_speed_that_its_sensor_cuts_off_is_left_out(noise: float) -> None:
     rng = np.random.default_rng(5)
     speed = speed_of(square_wave(rng, len(TIME)), 8.0, 60.0, 0.002) + noise * rng.standard_normal(len(TIME))
-    cut = np.abs(speed) > 25.0
-    faults, out = find_clipped(TIME, np.clip(speed, -25.0, 25.0), 0.01)
+    cut = np.abs(speed) > 15.0
+    faults, out = find_clipped(TIME, np.clip(speed, -15.0, 15.0), 0.01)
     assert len(faults) >= 2 and all(f.kind == "saturation" for f in faults)
     forwards = cut & (speed > 0.0)  # backwards it is cut off once, which may be a steady speed
     assert not np.any(out & ~forwards) and np.count_nonzero(out) > 0.95 * np.count_nonzero(forwards)
