@@ -58,6 +58,7 @@ def test_a_counter_that_restarts_goes_on_with_an_offset(tmp_path: Path, first: i
     recording = loaded(tmp_path, duty, read, COUNTS)
     at = [k for k in (first, second) if k is not None]
     assert [(f.kind, f.end) for f in recording.faults] == [("restart", pytest.approx(STEP * k)) for k in at]
+    assert all(" rad in " in f.says for f in recording.faults)
     # the motion in the one step is not seen: a count or two for each restart
     np.testing.assert_allclose(moved(recording), (counts - counts[0]) * COUNT, atol=2.5 * COUNT * len(at))
 

@@ -136,7 +136,7 @@ def clean_output(
         faults += clipped
         output = np.where(out, np.nan, output)
     else:
-        output, jumps = bridge_restarts(time, output, command, resolution, raw.turns)
+        output, jumps = bridge_restarts(time, output, command, resolution, raw.turns, column.unit)
         frozen, out = find_held(time, output, resolution)
         if speed is not None:
             contradicted, more = find_contradicted(time, output, speed, resolution)

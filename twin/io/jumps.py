@@ -33,12 +33,13 @@ class Readings:
     time: FloatArray  # s
     value: FloatArray
     resolution: float  # unit of value, 0 where it is not counted
+    unit: str = ""
 
     @property
     def changes(self) -> Readings:
         """Those that differ from the reading before them."""
         new = np.concatenate(([True], self.step != 0))
-        return Readings(self.time[new], self.value[new], self.resolution)
+        return Readings(self.time[new], self.value[new], self.resolution, self.unit)
 
     @property
     def step(self) -> FloatArray:
@@ -217,7 +218,12 @@ def _ahead_of_prediction(readings: Readings, turn: float) -> FloatArray:
 
 
 def bridge_restarts(
-    time: FloatArray, values: FloatArray, command: FloatArray, resolution: float, turns: Sequence[float] = ()
+    time: FloatArray,
+    values: FloatArray,
+    command: FloatArray,
+    resolution: float,
+    turns: Sequence[float] = (),
+    unit: str = "",
 ) -> tuple[FloatArray, list[Fault]]:
     """Undo jumps of an unknown size: wraps behind a gear, and counters that restart or are homed midway.
 
@@ -234,6 +240,8 @@ def bridge_restarts(
         Size of one count in the unit of `values`; 0.0 where it is not counted.
     turns
         Known sizes of a full turn or counter.
+    unit
+        That of `values`, for what is said.
 
     Returns
     -------
@@ -243,7 +251,7 @@ def bridge_restarts(
     good = np.flatnonzero(np.isfinite(values))
     if good.size < 20:
         return values, []
-    readings = Readings(time[good], values[good], resolution)
+    readings = Readings(time[good], values[good], resolution, unit)
     grain = resolution or 1e-4 * float(np.ptp(readings.value))
     jumps, excess = _impossible_steps(readings, np.abs(command[good]), grain)
     if not jumps.size:
@@ -264,12 +272,13 @@ def bridge_restarts(
 
 def _fault(readings: Readings, k: int, size: float, kind: str) -> Fault:
     start, end = float(readings.time[k]), float(readings.time[k + 1])
+    unit = f" {readings.unit}" if readings.unit else ""
     if kind == "wrap":
-        return Fault("wrap", start, end, f"The reading wraps at {end:.3f} s, by {abs(size):.4g}; unwrapped.")
+        return Fault("wrap", start, end, f"The reading wraps at {end:.3f} s, by {abs(size):.4g}{unit}; unwrapped.")
     return Fault(
         "restart", start, end,
-        f"The reading restarts at {end:.3f} s: it jumps by {size:.4g} in {1e3 * (end - start):.3g} ms, which no motion "
-        "makes; it is continued with an offset.",
+        f"The reading restarts at {end:.3f} s: it jumps by {size:.4g}{unit} in {1e3 * (end - start):.3g} ms, which no "
+        "motion makes; it is continued with an offset.",
     )  # fmt: skip
 
 

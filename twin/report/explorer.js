@@ -237,7 +237,7 @@ async function explore(root, told) {
       }
       ink.restore();
       const [across, digits] = ticks(span[0], span[1], Math.max(2, width / 110));
-      const [up, decimals] = ticks(low, high, Math.max(2, height / 45));
+      const [up, decimals] = ticks(low, high, Math.max(4, height / 45));
       ink.strokeStyle = colour("grid");
       ink.fillStyle = colour("muted");
       ink.lineWidth = 1;
