@@ -69,6 +69,19 @@ def test_a_counter_of_microseconds_that_wraps_is_known_without_a_name(tmp_path: 
     assert np.ptp(recording.time) == pytest.approx((N - 1) * step)
 
 
+def test_a_log_without_time_is_not_fitted_with_a_guessed_one(tmp_path: Path) -> None:
+    log = write(tmp_path, {"duty": DUTY, "counts": COUNTS})
+    assert main(["init", str(log), "--quiet"]) == 0
+    rig = tmp_path / "rig.toml"
+    with pytest.raises(BadInput, match=r"no time column is named; give \[time\] column or sample_time"):
+        load([log])
+    text = rig.read_text()
+    assert "\n# sample_time = " in text and "sample_time is not known" in text
+    rig.write_text(text.replace("\n# sample_time = 0.001", "\nsample_time = 0.002"))
+    (recording,), _ = load([log])
+    assert np.median(np.diff(recording.time)) == pytest.approx(STEP)
+
+
 def test_a_rig_file_that_is_there_stays(tmp_path: Path) -> None:
     log = write(tmp_path, {"t": TIME, "duty": DUTY, "counts": COUNTS})
     (tmp_path / "rig.toml").write_text("# mine")

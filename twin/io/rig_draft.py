@@ -32,7 +32,8 @@ def draft(logs: Sequence[Path]) -> Draft:
     -------
     Draft
         The text of a rig file that loads the recordings. Faults that the checks before a fit find, such as a reversed
-        sensor or a lost sign, are corrected in it. What a log cannot show is said as a comment.
+        sensor or a lost sign, are corrected in it. What a log cannot show is said as a comment. Where it has no time,
+        the rig file loads nothing before the sample time is written in it.
 
     Raises
     ------
@@ -50,4 +51,7 @@ def draft(logs: Sequence[Path]) -> Draft:
             reading.remarks["refresh"] = "s; the sensor is read anew only so often"
             guessed.unsure.append("the sensor is read more slowly than it is logged (refresh)")
     text = write_sections(guessed.sections, Path(logs[0]).name, guessed.columns, guessed.unsure)
+    if "sample_time" in guessed.sections["time"].keys:
+        # No log shows it, and every speed would be wrong by a wrong one: the user has to write it.
+        text = text.replace("\nsample_time = ", "\n# sample_time = ", 1)
     return Draft(text, tuple(guessed.unsure), guessed.sections)

@@ -337,8 +337,8 @@ def _time_section(table: Table, columns: Mapping[str, FloatArray], unsure: list[
         name = rising[0]
         unsure.append(f"column '{name}' is taken for time, as it only rises")
     if name is None:
-        unsure.append("no column looks like time: sample_time is a guess; write the true one")
-        return Section({"sample_time": 0.001}, {"sample_time": "s; NOT KNOWN, a guess"})
+        unsure.append("no column looks like time: sample_time is not known; write the true one")
+        return Section({"sample_time": 0.001}, {"sample_time": "s; NOT KNOWN: write the true one"})
     stamps = columns[name][np.isfinite(columns[name])]
     steps = np.diff(stamps)
     # Of stamps that come in bursts the median says nothing. A counter that wraps covers less than it counts.
