@@ -145,6 +145,11 @@ def test_an_update_keeps_what_it_replaces_in_the_history(fmu: Path) -> None:
     assert [m.values["gravity_gain"] for m in kept] == [TRUTH.values["gravity_gain"], 2.0]
     assert kept[0].std("gravity_gain") == TRUTH.std("gravity_gain")
     assert len(evidence.carried(fmu)[0]) == 2 and validate_fmu(str(fmu)) == []
+    assert "--evidence LOG" in evidence.of_old_parameters(fmu)
+
+
+def test_an_fmu_without_evidence_has_none_of_old_parameters(tmp_path: Path) -> None:
+    assert evidence.of_old_parameters(python_fmu.export(TRUTH, tmp_path / "plain.fmu")) == ""
 
 
 def test_a_long_recording_is_cut(fmu: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -175,6 +175,8 @@ def _update(args: argparse.Namespace) -> int:
             answer["evidence"] = evidence.attach(draft, [evidence.Trial(r) for r in recordings])
             said.append(_carries(out, answer["evidence"]))
         put(out, draft.read_bytes())
+    if not recordings and (old_evidence := evidence.of_old_parameters(out)):
+        said.append(old_evidence)
     answer_user(args, said, answer)
     return 0
 

@@ -127,7 +127,7 @@ def _judge(args: argparse.Namespace, model: Model, tell: Progress) -> None:
     """Fit what is new, judge all, and write the answer."""
     from twin.diagnosis.tracking import forecast, track
     from twin.display.numbers import time_left
-    from twin.fmi import python_fmu
+    from twin.fmi import evidence, python_fmu
     from twin.io.files import json_text, put
     from twin.report.trend import trend_page
 
@@ -152,6 +152,7 @@ def _judge(args: argparse.Namespace, model: Model, tell: Progress) -> None:
     if args.update is not None:
         python_fmu.update(args.update, model.with_values(history.latest.values))
         said.append(f"{args.update} holds the parameters since the last change.")
+        said += filter(None, [evidence.of_old_parameters(args.update)])
     answer_user(args, said, answer)
 
 

@@ -197,6 +197,22 @@ def _recording(fmu: Fmu, run: Mapping[str, Any]) -> Trial:
     return Trial(Recording(str(run["name"]), time, command, output, *units, resolution, role, known), begin)
 
 
+def of_old_parameters(fmu: Path) -> str:
+    """What is to be said where an FMU carries recordings that its parameters were not compared with; else nothing.
+
+    Parameters
+    ----------
+    fmu
+        It has just got new parameters.
+    """
+    if member(EXPERIMENT) not in open_fmu(fmu).members:
+        return ""
+    return (
+        f"{fmu} still carries recordings and figures of the old parameters, by which twin check judges it. To replace "
+        "them, give twin update a newer recording: --evidence LOG."
+    )
+
+
 def carried(fmu: Path) -> tuple[list[Trial], list[dict[str, Any]]]:
     """The recordings that an FMU carries, and what was found with each of them.
 
