@@ -27,7 +27,7 @@ def test_an_end_that_commands_more_is_not() -> None:
     choice = coverage.choose([made(np.where(TIME > 21.0, 70.0, 34.0))])
     assert choice.where == data_split.MIDDLE_PART and not choice.untested
     (says,) = coverage.sentences(choice)
-    assert "the command goes from -70 to 70 there, elsewhere from -34 to 34" in says and "the middle" in says
+    assert "the command goes from -70 to 70 % there, elsewhere from -34 to 34 %" in says and "the middle" in says
 
 
 def test_where_end_and_middle_leave_the_range_blocks_are_held_out() -> None:

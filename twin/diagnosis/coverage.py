@@ -31,11 +31,12 @@ _TURNS = 2.0 * math.pi
 
 @dataclass(frozen=True)
 class Beyond:
-    """A variable that leaves its fitted range (least, largest) in the held-out part."""
+    """A variable that leaves its fitted range (least, largest) in the held-out part, and the unit of both."""
 
     variable: str
     train: tuple[float, float]
     holdout: tuple[float, float]
+    unit: str = ""
 
     @property
     def excess(self) -> float:
@@ -70,6 +71,13 @@ def variables(recording: Recording) -> dict[str, FloatArray]:
     return {n: np.where(read, values, np.nan) for n, values in found.items()}
 
 
+def _unit(variable: str, recording: Recording) -> str:
+    """The unit of a variable of this recording."""
+    axis = recording.output_unit.removesuffix("/s")
+    units = {"input": recording.input_unit, "velocity": f"{axis}/s", "position": axis}
+    return {**units, "supply": "V", "temperature": "°C"}[variable]
+
+
 def _joined(parts: Iterable[FloatArray]) -> FloatArray:
     values = np.concatenate(list(parts))
     return np.asarray(values[np.isfinite(values)])
@@ -85,7 +93,8 @@ def beyond(train: Sequence[Recording], held_out: Sequence[RecordingPart]) -> lis
         if len(before) == 0 or len(after) == 0:
             continue
         low, high = np.quantile(after, [_ASIDE, 1.0 - _ASIDE])
-        one = Beyond(name, (float(before.min()), float(before.max())), (float(low), float(high)))
+        fitted_range = float(before.min()), float(before.max())
+        one = Beyond(name, fitted_range, (float(low), float(high)), _unit(name, train[0]))
         if one.excess > ROOM:
             found.append(one)
     return found
@@ -103,7 +112,7 @@ def later(train: Sequence[Recording], held_out: Sequence[RecordingPart]) -> list
         return []
     begins = min(float(t[0]) for t in tested if len(t))
     fitted = max(float(r.time[np.isfinite(r.output)][-1]) for r in train)
-    one = Beyond("time", (0.0, fitted), (begins, max(ends)))
+    one = Beyond("time", (0.0, fitted), (begins, max(ends)), "s")
     return [one] if one.excess > ROOM else []
 
 
@@ -135,7 +144,8 @@ _SPOKEN = {"input": "the command", "velocity": "the speed", "position": "the pos
 def _range(one: Beyond) -> str:
     (low, high), (least, most) = one.train, one.holdout
     name = _SPOKEN.get(one.variable, one.variable)
-    return f"{name} goes from {least:.3g} to {most:.3g} there, elsewhere from {low:.3g} to {high:.3g}"
+    unit = f" {one.unit}" if one.unit else ""
+    return f"{name} goes from {least:.3g} to {most:.3g}{unit} there, elsewhere from {low:.3g} to {high:.3g}{unit}"
 
 
 def sentences(choice: Choice) -> list[str]:

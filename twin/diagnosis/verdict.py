@@ -99,7 +99,9 @@ def includes_nothing(finding: Finding) -> bool:
 
 
 def _times(ratio: float) -> str:
-    return f"{ratio:.2g} times" if ratio < 100.0 else f"{ratio:.0f} times"
+    if f"{ratio:.2g}" == "1":
+        return "as much"
+    return f"{ratio:.2g} times as much" if ratio < 100.0 else f"{ratio:.0f} times as much"
 
 
 def objections(figures: Adequacy, findings: Sequence[Finding]) -> list[str]:
@@ -108,12 +110,12 @@ def objections(figures: Adequacy, findings: Sequence[Finding]) -> list[str]:
     train, held_out = figures.free_run.get("train"), figures.free_run.get("holdout")
     if train is not None and is_off(train.after, train.span):
         said.append(
-            f"the free run through the fitted data errs {_times(train.after.rmse / train.after.expected)} as much as "
+            f"the free run through the fitted data errs {_times(train.after.rmse / train.after.expected)} as "
             "the model's own noise makes"
         )
     if held_out is not None and is_off(held_out.after, held_out.span):
         said.append(
-            f"on data that no fit has seen it errs {_times(held_out.after.rmse / held_out.after.expected)} as much as "
+            f"on data that no fit has seen it errs {_times(held_out.after.rmse / held_out.after.expected)} as "
             "the model's own noise makes"
         )
     for where, compared in (("fitted", train), ("held-out", held_out)):
@@ -187,9 +189,7 @@ def _on_held_out(run: FreeRun) -> str:
     if not run.expected > 0.0:
         return "its own noise makes no error that the held-out one could be held against"
     rare = "which chance makes less often than once in 1000" if run.p_value < CHANCE else f"p = {run.p_value:.2g}"
-    return (
-        f"its free run on held-out data errs {_times(run.rmse / run.expected)} as much as its own noise makes, {rare}"
-    )
+    return f"its free run on held-out data errs {_times(run.rmse / run.expected)} as its own noise makes, {rare}"
 
 
 def sentence(verdict: str, figures: Adequacy, against: Sequence[str]) -> str:
@@ -201,7 +201,7 @@ def sentence(verdict: str, figures: Adequacy, against: Sequence[str]) -> str:
     # Later times are untested wherever the end is held out: that is worth a word where something is off.
     beyond = [b for b in figures.beyond_training if against or b.variable != "time"]
     if beyond:
-        names = ", ".join(f"{b.variable} beyond {b.train[0]:.3g} to {b.train[1]:.3g}" for b in beyond)
+        names = ", ".join(f"{b.variable} beyond {b.train[0]:.3g} to {b.train[1]:.3g} {b.unit}".rstrip() for b in beyond)
         facts.append(f"nothing was fitted at {names}")
     train = figures.free_run.get("train")
     opening = _OPENINGS[verdict] if against or verdict not in _WITHOUT_NAME else _WITHOUT_NAME[verdict]
