@@ -110,7 +110,7 @@ MIN_BLOCKS = 10
 
 #: Standard errors that the size of a name must reach: by chance one in 370 does.
 MIN_SIZE_IN_ERRORS = 3.0
-#: Recordings from which on most of them must be predicted better with a name.
+#: Recordings from which on more than one of them must be predicted better with a name.
 MIN_RECORDINGS = 3
 
 #: Ratio of the errors on left-out blocks with and without a name, from which on the name is refuted. Where noise makes
