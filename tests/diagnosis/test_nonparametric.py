@@ -321,17 +321,19 @@ def test_bump_over_position_is_found_and_drawn():
     assert after.size < 0.4 * before.size
 
 
-def test_a_bump_between_two_of_twelve_even_knots_is_drawn_better(monkeypatch: pytest.MonkeyPatch):
+def test_a_bump_between_two_of_twelve_even_knots_is_drawn_better():
     case, base = fitted("sharp")
     at = np.linspace(-0.9, 0.3, 100)
     truth = drawn(SHARP, at)
-    misses, deviances = [], []
-    for placed in (nonparametric._knot_positions, lambda fine, heights: np.linspace(fine[0], fine[-1], KNOTS)):
-        monkeypatch.setattr(nonparametric, "_knot_positions", placed)
-        found = with_curve([case], base, CurveTerm("position"))
-        misses.append(np.std(drawn(found.values, at) - truth))
-        deviances.append(found.deviance)
-    assert misses[0] < 0.8 * misses[1] and deviances[0] < deviances[1] - 100.0
+    placed = with_curve([case], base, CurveTerm("position"))
+    own = spots("unknown_position", placed.values)
+    spread = np.linspace(own[0], own[-1], KNOTS)
+    begun = {**placed.values, **through("unknown_position", spread, drawn(SHARP, spread))}
+    even = nonparametric.fit_curve(
+        FitProblem([case]), replace(placed, values=begun, free=(*base.free, *names("unknown_position")))
+    )
+    placed_miss, even_miss = (np.std(drawn(found.values, at) - truth) for found in (placed, even))
+    assert placed_miss < 0.8 * even_miss and placed.deviance < even.deviance - 100.0
 
 
 def test_a_wave_that_only_one_direction_of_push_knows_is_found():
@@ -414,29 +416,27 @@ def test_what_has_no_name_wins_where_the_names_do_nothing_beside_it(key, name, t
 @pytest.mark.parametrize(
     ("names", "earned", "outdone"), [(1, 10.0, True), (1, 30.0, False), (2, 30.0, True), (2, 50.0, False)]
 )
-def test_beside_a_curve_that_does_more_every_name_has_to_earn_its_place(monkeypatch, names, earned, outdone):
+def test_beside_a_curve_that_does_more_every_name_has_to_earn_its_place(names, earned, outdone):
+    """Names of no size gain nothing beside the curve, so that each fit but theirs is said to lack so much."""
     case, first = fitted("hump")
-    last = replace(first, structure=STRUCTURE.with_(*("quadratic_drag", "gravity")[:names]))
-    nameless = with_curve([case], first, CurveTerm("velocity"))
-    both = replace(nameless, deviance=nameless.deviance - earned * model_comparison.overdispersion([nameless]))
-    monkeypatch.setattr(free_curves, "_fit_names_beside_curve", lambda found, curve: both)
-    assert (
-        free_curves.replaces_names(
-            SearchResult(first, last, (), FitProblem((case,))), nameless, 2 * [left(0.3, 0.0, 0.4)]
-        )
-        is outdone
+    curve = with_curve([case], first, CurveTerm("velocity"))
+    lack = earned * model_comparison.overdispersion([curve])
+    last = replace(
+        first, structure=STRUCTURE.with_(*("quadratic_drag", "gravity")[:names]), deviance=first.deviance + lack
     )
+    nameless = replace(curve, deviance=curve.deviance + lack)
+    found = SearchResult(first, last, (), FitProblem((case,)))
+    assert free_curves.replaces_names(found, nameless, 2 * [left(0.3, 0.0, 0.4)]) is outdone
 
 
 @pytest.mark.parametrize(
     ("name", "size", "outdone"),
     [("coulomb_friction", 0.1, False), ("coulomb_friction", 0.2, True), ("quadratic_drag", 0.1, True)],
 )
-def test_dry_friction_that_leaves_little_keeps_its_name(monkeypatch, name, size, outdone):
+def test_dry_friction_that_leaves_little_keeps_its_name(name, size, outdone):
     """No machine's follows a law exactly; and a curve over the speed has its step, so that it does nothing beside."""
     case, first = fitted("hump")
     last, nameless = replace(first, structure=STRUCTURE.with_(name)), with_curve([case], first, CurveTerm("velocity"))
-    monkeypatch.setattr(free_curves, "_fit_names_beside_curve", lambda found, curve: nameless)
     what = [left(0.8, 0.0, 0.4), left(0.7, 0.0, size)]
     assert free_curves.replaces_names(SearchResult(first, last, (), FitProblem((case,))), nameless, what) is outdone
 
@@ -452,14 +452,15 @@ def test_dry_friction_is_no_motor_that_varies_over_its_turn():
 @pytest.mark.parametrize(
     ("earned", "p_value", "outdone"), [(5.0, 1e-4, True), (5.0, 0.002, False), (-5.0, 1e-4, False)]
 )
-def test_a_curve_that_foretells_what_plainly_goes_with_something_has_to_earn_its_price(
-    monkeypatch, earned, p_value, outdone
-):
+def test_a_curve_that_foretells_what_plainly_goes_with_something_has_to_earn_its_price(earned, p_value, outdone):
     case, first = fitted("hump")
-    nameless = with_curve([case], first, CurveTerm("velocity"))
-    monkeypatch.setattr(model_comparison, "gain", lambda before, after, doubt=0.0: earned)
+    curve = with_curve([case], first, CurveTerm("velocity"))
+    # The first model with such a deviance that the same curve gains so much.
+    surplus = model_comparison.gain(first, curve) - earned
+    first = replace(first, deviance=first.deviance - surplus * model_comparison.overdispersion([first, curve]))
+    assert model_comparison.gain(first, curve) == pytest.approx(earned, abs=0.01)
     what = 2 * [left(0.1, p_value, 0.1)]
-    assert free_curves.replaces_names(SearchResult(first, first, (), FitProblem((case,))), nameless, what) is outdone
+    assert free_curves.replaces_names(SearchResult(first, first, (), FitProblem((case,))), curve, what) is outdone
 
 
 def test_a_name_that_two_stretches_speak_for_is_dropped(monkeypatch):

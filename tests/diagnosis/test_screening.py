@@ -22,10 +22,8 @@ def grids_beside(
     missing: residual_torque.MissingTorque, recording: Recording, structure: Structure
 ) -> dict[str, list[dict[str, float]]]:
     """What is tried of each candidate where this torque is missing."""
-    case = prepared_recording.prepare_recording(recording, structure)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(residual_torque, "missing_torque", lambda *args: missing)
-        return screening.trial_grids(FitProblem([case]), structure, preparation.complete_values(structure, {}))
+    problem = FitProblem([prepared_recording.prepare_recording(recording, structure)])
+    return screening.trials_for_torque(problem, missing, structure, preparation.complete_values(structure, {}))
 
 
 def tried_beside(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -65,13 +66,11 @@ def asked(question, torque: Array, seed: int = 0, **values: float):
     free, none = free_parameters(structure), np.zeros((0, 0))
     known = preparation.complete_values(structure, {**BEFORE, **values})
     base = Fit(structure, known, filter_memory.process_noise_of(case, 0.1), free, 0.0, 1.0, none, np.zeros(0), none)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(residual_torque, "missing_torque", lambda *args: missing)
-        return question(FitProblem([case]), base)
+    return question(FitProblem([case]), missing, base)
 
 
 def found(torque: Array, seed: int = 0) -> list[torque_regression.TorqueFollower]:
-    return asked(lambda problem, base: torque_regression.ranked_by_torque(problem, base, CANDIDATES), torque, seed)
+    return asked(partial(torque_regression.ranked_by_torque, candidates=CANDIDATES), torque, seed)
 
 
 @pytest.mark.parametrize("effect", LAWS)
@@ -127,7 +126,7 @@ def test_noise_and_an_axis_at_rest_are_followed_by_nothing(monkeypatch):
 
 def levels(forward: float, reverse: float) -> list[dict[str, float]]:
     return asked(
-        lambda problem, base: torque_regression.offset_starts(base, CANDIDATES), COMMAND,
+        lambda problem, missing, base: torque_regression.offset_starts(base, CANDIDATES), COMMAND,
         dead_band_forward=forward, dead_band_reverse=reverse,
     )  # fmt: skip
 

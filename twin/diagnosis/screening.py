@@ -134,9 +134,19 @@ def trial_grids(
     problem: FitProblem, structure: Structure, values: Mapping[str, float], effects: Iterable[str] = CANDIDATES
 ) -> dict[str, list[dict[str, float]]]:
     """For each of these candidates, values of its non-linear parameters that are worth a try on these recordings."""
-    longest = max(problem.recordings, key=lambda c: c.drive.time[-1])
-    missing = residual_torque.missing_torque(longest, structure, values)
-    seen = _seen(problem, longest.recorded, missing, values)
+    missing = residual_torque.missing_torque(problem.longest, structure, values)
+    return trials_for_torque(problem, missing, structure, values, effects)
+
+
+def trials_for_torque(
+    problem: FitProblem,
+    missing: MissingTorque,
+    structure: Structure,
+    values: Mapping[str, float],
+    effects: Iterable[str] = CANDIDATES,
+) -> dict[str, list[dict[str, float]]]:
+    """The same where the model lacks this torque in the longest of the recordings."""
+    seen = _seen(problem, problem.longest.recorded, missing, values)
     return {e: with_gap_sides(_page_trials(missing, seen, e), structure, values, e) for e in effects}
 
 

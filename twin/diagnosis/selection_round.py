@@ -25,7 +25,7 @@ from operator import call
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnosis import events, model_comparison, screening, thresholds, torque_regression
+from twin.diagnosis import events, model_comparison, residual_torque, screening, thresholds, torque_regression
 from twin.diagnosis.plausibility import is_plausible
 from twin.diagnosis.screening import Candidate
 from twin.effects.catalogue import EFFECTS
@@ -192,7 +192,8 @@ def _fit_followers(
     problem: FitProblem, base: Fit, candidates: Sequence[str]
 ) -> list[Hypothesis]:  # fmt: skip
     """The candidates that follow the missing torque best, fitted from those values, on either side of the gap."""
-    best = torque_regression.ranked_by_torque(problem, base, candidates)[: thresholds.MAX_FOLLOWERS]
+    missing = residual_torque.missing_torque(problem.longest, base.structure, base.values)
+    best = torque_regression.ranked_by_torque(problem, missing, base, candidates)[: thresholds.MAX_FOLLOWERS]
     begun = [(f.effect, f.structure, place) for f in best for place in f.places]
     longer = base.structure.with_("constant_offset")
     begun += [("constant_offset", longer, place) for place in torque_regression.offset_starts(base, candidates)]
@@ -213,7 +214,8 @@ def _fit_beside_free_motion(
     """The candidates that promise most beside the base fitted to free motion of the axis, if that is far from the base.
     Gap, shares and teeth are searched again.
     """
-    free = torque_regression.fit_to_free_motion(problem, base)
+    missing = residual_torque.missing_torque(problem.longest, base.structure, base.values)
+    free = torque_regression.fit_to_free_motion(problem, missing, base)
     if free is None:
         return []
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.diagnosis import residual_torque, screening, thresholds
+from twin.diagnosis import screening, thresholds
 from twin.diagnosis.residual_torque import MissingTorque
 from twin.effects.catalogue import EFFECTS, pages
 from twin.estimation import likelihood, preparation
@@ -172,13 +172,12 @@ def offset_starts(base: Fit, candidates: Sequence[str]) -> list[dict[str, float]
     return [preparation.complete_values(longer, {**base.values, **row}) for row in rows]
 
 
-def fit_to_free_motion(problem: FitProblem, base: Fit) -> Fit | None:
-    """The base fitted to free motion of the axis, if its input gain there is several times larger or smaller.
+def fit_to_free_motion(problem: FitProblem, missing: MissingTorque, base: Fit) -> Fit | None:
+    """The base fitted to free motion of the axis, if its input gain there is several times larger or smaller. `missing`
+    is the torque that it lacks.
 
     Missing stops or dry friction hold the axis, and lead a fit to a drive that does nothing.
     """
-    longest = max(problem.recordings, key=lambda c: c.drive.time[-1])
-    missing = residual_torque.missing_torque(longest, base.structure, base.values)
     states = _moving_averages(missing)
     low, high = float(np.nanmin(missing.position)), float(np.nanmax(missing.position))
     beside = _STOP_ZONE * (high - low)
@@ -201,17 +200,18 @@ def fit_to_free_motion(problem: FitProblem, base: Fit) -> Fit | None:
     return found if math.isfinite(found.deviance) else None
 
 
-def ranked_by_torque(problem: FitProblem, base: Fit, candidates: Sequence[str]) -> list[TorqueFollower]:
-    """The candidates that predict more of the missing torque than a change of the base would, the best first."""
-    longest = max(problem.recordings, key=lambda c: c.drive.time[-1])
-    states = _moving_averages(residual_torque.missing_torque(longest, base.structure, base.values))
+def ranked_by_torque(
+    problem: FitProblem, missing: MissingTorque, base: Fit, candidates: Sequence[str]
+) -> list[TorqueFollower]:
+    """The candidates that predict more of the base's missing torque than a change of it would, the best first."""
+    states = _moving_averages(missing)
     if len(states["time"]) < _MIN_AVERAGES:
         return []
     torque, turn = states["torque"], (states["time"] / _BLOCK_LENGTH).astype(np.intp) % _FOLDS
     # What is transmitted as far as the base knows: what is missing moves the axis, too, and would follow itself.
     states["transmitted"] = base.values["input_gain"] * states["input"]
     linear = [e for e in candidates if EFFECTS[e].slot in TORQUE_SLOTS and e not in screening.WITHOUT_SCORE_TEST]
-    trials = screening.trial_grids(problem, base.structure, base.values, linear)
+    trials = screening.trials_for_torque(problem, missing, base.structure, base.values, linear)
     own = _base_regressors(states)
     alone, _ = _cross_validated_regression(own, torque, turn)
     found = []

@@ -34,6 +34,11 @@ class FitProblem:
     process_noise: float = 0.0
     _by_step: dict[int, tuple[PreparedRecording, ...]] = field(default_factory=dict, repr=False)
 
+    @property
+    def longest(self) -> PreparedRecording:
+        """The longest of the recordings."""
+        return max(self.recordings, key=lambda r: float(r.drive.time[-1]))
+
     def at(self, process_noise: float) -> FitProblem:
         """The same with another process noise."""
         return self if process_noise == self.process_noise else replace(self, process_noise=process_noise)

@@ -57,7 +57,7 @@ class Watch:
 
     def _model(self, event: Reached) -> None:
         """A model with the torque that it lacks, beside that of the first."""
-        fit, longest = event.model, max(event.problem.recordings, key=lambda c: float(c.drive.time[-1]))
+        fit, longest = event.model, event.problem.longest
         missing = residual_torque.missing_torque(longest, fit.structure, fit.values)
         if self.first is None:
             self.first = (fit, missing)
