@@ -26,7 +26,7 @@ from twin.diagnosis.forward_selection import Alternative, SearchResult
 from twin.diagnosis.result import Diagnosis, Fitness
 from twin.diagnosis.selection_round import Hypothesis, Round
 from twin.diagnosis.thresholds import UNDECIDED_MARGIN
-from twin.estimation import filter_memory, maximum_likelihood, optimizer, prepared_recording
+from twin.estimation import filter_memory, optimizer, prepared_recording
 from twin.estimation.fit import Fit
 from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording
@@ -161,17 +161,12 @@ def test_what_one_name_explains_about_as_well_as_two_is_the_one():
     assert given == pytest.approx(1.0 / (1.0 + np.exp(-UNDECIDED_MARGIN / (2.0 * thresholds.TEMPERATURE))))
 
 
-def test_the_experiment_is_for_the_likeliest_rival_and_not_for_one_name_more(monkeypatch):
+def test_the_experiment_is_for_the_likeliest_rival_and_not_for_one_name_more():
     last, rival = point(1000.0, "motor_lag"), point(1010.0, "input_delay")
     torque = point(1003.0, "motor_lag", "constant_offset")
     swaps = (Alternative("dead_band", "constant_offset", torque), Alternative("motor_lag", "input_delay", rival))
-    asked = []
-    monkeypatch.setattr(
-        diagnose.experiment_design, "design_for_discrimination", lambda points, cases: asked.append(points)
-    )
-    diagnose._next_experiment(SearchResult(point(3000.0), last, (), FitProblem(()), (), swaps))
-    diagnose._next_experiment(SearchResult(point(3000.0), last, (), FitProblem(()), (), swaps[:1]))
-    assert asked == [[last, rival], [last, torque]]
+    for offered, closest in ((swaps, [rival]), (swaps[:1], [torque]), ((), [])):
+        assert diagnose._closest_rival(SearchResult(point(3000.0), last, (), FitProblem(()), (), offered)) == closest
 
 
 def test_the_user_is_told_of_both():
@@ -212,35 +207,26 @@ def test_a_round_that_nothing_won_says_nothing_of_what_later_took_a_place():
     assert [(h.added, behind) for h, behind in contest.rivals] == [(("input_delay",), -4.0)]
 
 
-@pytest.fixture
-def roughness(monkeypatch):
-    """Of the likelihood: none, or what a test appends."""
-    given = [0.0]
-    monkeypatch.setattr(maximum_likelihood, "roughness", lambda cases, point: given[-1])
-    return given
-
-
-def test_a_rattling_rig_is_said_to_hide_effects(roughness):
+def test_a_rattling_rig_is_said_to_hide_effects():
     fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(0.05, 0.5, math.nan)}}
     for rough, rattles in ((0.5 * thresholds.MIN_GAIN, False), (2.0 * thresholds.MIN_GAIN, True)):
-        roughness.append(rough)
-        said = diagnose._remarks(searched(500.0), fit)
+        said = diagnose._remarks(searched(500.0), fit, rough)
         assert [s.startswith("The motor rattles in its gap") for s in said] == ([True] if rattles else [])
 
 
 @pytest.mark.parametrize(("after", "worse"), [(0.05, False), (0.2, True)])
-def test_a_larger_model_that_held_out_data_speak_against_is_said_to_be(roughness, after, worse):
+def test_a_larger_model_that_held_out_data_speak_against_is_said_to_be(after, worse):
     """A curve without a name no less than a name."""
     fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(after, 10.0 * after, math.nan)}}
-    said = diagnose._remarks(searched(500.0), fit)
+    said = diagnose._remarks(searched(500.0), fit, 0.0)
     assert [s.startswith("The likelihood prefers the larger") for s in said] == [True] * worse
 
 
-def test_what_is_followed_but_not_judged_is_said(roughness):
+def test_what_is_followed_but_not_judged_is_said():
     fit = {"holdout": {"before": Fitness(0.1, 1.0, math.nan), "after": Fitness(0.05, 0.5, math.nan)}}
     hidden = {"calm": None, "loud": np.array([True, False, False, False])}
     cases = [SimpleNamespace(recording=SimpleNamespace(name=n), rattle_mask=h) for n, h in hidden.items()]
-    (said,) = diagnose._remarks(replace(searched(500.0), problem=SimpleNamespace(recordings=cases)), fit)
+    (said,) = diagnose._remarks(replace(searched(500.0), problem=SimpleNamespace(recordings=cases)), fit, 0.0)
     assert said.startswith("loud: in 25 % of what was fitted")
 
 

@@ -70,18 +70,23 @@ def _without_effects(last: Fit, ids: Sequence[str]) -> Fit:
     return replace(last, structure=structure, values=values, free=tuple(n for n in last.free if n in values))
 
 
-def _fit_curve_instead(problem: FitProblem, last: Fit, ids: Sequence[str], variable: str) -> Fit:
-    """The last model with a curve over the variable in the place of these effects. The curve starts from the torque
-    that is missing without them, or, where rattle hides that, from their own torque.
-    """
-    sketched = nonparametric.sketch_curve(problem, _without_effects(last, ids), nonparametric.CurveTerm(variable))
+def _torques_as_curve(sketched: Fit, last: Fit, ids: Sequence[str], variable: str) -> Fit:
+    """The sketch of a curve over the variable, through what these effects of the last model do at its knots."""
     prefix = f"unknown_{variable}"
     at = spots(prefix, sketched.values)
     unit = through(prefix, at, np.ones(len(at)).tolist())
     sense = _effect_torques([prefix], replace(sketched, values=unit), np.zeros(1), variable)[0]
     same = through(prefix, at, (sense * _effect_torques(ids, last, np.array(at), variable).sum(axis=0)).tolist())
-    begun = replace(sketched, values={**preparation.complete_values(sketched.structure, last.values), **same})
-    return min(each(lambda p: nonparametric.fit_curve(problem, p), (sketched, begun)), key=lambda p: p.deviance)
+    return replace(sketched, values={**preparation.complete_values(sketched.structure, last.values), **same})
+
+
+def _fit_curve_instead(problem: FitProblem, last: Fit, ids: Sequence[str], variable: str) -> Fit:
+    """The last model with a curve over the variable in the place of these effects. The curve starts from the torque
+    that is missing without them, or, where rattle hides that, from their own torque.
+    """
+    sketched = nonparametric.sketch_curve(problem, _without_effects(last, ids), nonparametric.CurveTerm(variable))
+    begun = (sketched, _torques_as_curve(sketched, last, ids, variable))
+    return min(each(lambda p: nonparametric.fit_curve(problem, p), begun), key=lambda p: p.deviance)
 
 
 def _drop_idle_names(problem: FitProblem, first: Structure, curve: Fit, names: Sequence[str]) -> Fit:
@@ -190,10 +195,11 @@ def _effect_torques(ids: Sequence[str], point: Fit, at: FloatArray, variable: st
     return np.array([equations.along(i, {variable: at}, point.values) for i in ids])
 
 
-def _remaining_stiffness(problem: FitProblem, last: Fit, ids: Sequence[str]) -> float:
-    """The common stiffness of these torques where they cancel most, as a share of the second largest one's."""
-    moved = _passed_values(problem, last, "position")
-    at = np.linspace(moved.min(), moved.max(), len(moved))
+def _remaining_stiffness(positions: FloatArray, last: Fit, ids: Sequence[str]) -> float:
+    """The common stiffness of these torques where they cancel most on the way between these positions (N,), as a share
+    of the second largest one's.
+    """
+    at = np.linspace(positions.min(), positions.max(), len(positions))
     stiff = np.diff(_effect_torques(ids, last, at), axis=1)
     both = stiff.sum(axis=0)
     least = float(np.min(both * np.sign(np.median(both))))
@@ -206,7 +212,7 @@ def substitute_cancelling(problem: FitProblem, first: Structure, last: Fit) -> S
     ids = _named_over(first, last.structure, "position")
     if len(ids) < 2:
         return None
-    left = _remaining_stiffness(problem, last, ids)
+    left = _remaining_stiffness(_passed_values(problem, last, "position"), last, ids)
     if left > thresholds.MAX_CANCELLED_STIFFNESS:
         return None
     curve = _fit_curve_instead(problem, last, ids, "position")

@@ -101,17 +101,21 @@ def _unequal_dead_bands(last: Fit, unit: str) -> list[str]:
     ]
 
 
-def _next_experiment(found: SearchResult) -> Experiment:
-    """The input that would tell the closest rivals apart, or fix what is known worst."""
-    problem = found.problem.stepped(found.last.structure)
+def _closest_rival(found: SearchResult) -> list[Fit]:
+    """The likeliest of the alternatives that the recordings do not tell from the last model; none where they do."""
     close = [
         w.point
         for w in found.alternatives
         if model_comparison.criterion_difference(found.last, w.point) < thresholds.UNDECIDED_MARGIN
     ]
-    near = sorted(close, key=lambda p: model_comparison.criterion_difference_penalised(p, found.last))[:1]
+    return sorted(close, key=lambda p: model_comparison.criterion_difference_penalised(p, found.last))[:1]
+
+
+def _next_experiment(found: SearchResult) -> Experiment:
+    """The input that would tell the closest rivals apart, or fix what is known worst."""
+    problem = found.problem.stepped(found.last.structure)
     try:
-        return experiment_design.design_for_discrimination([found.last, *near], problem)
+        return experiment_design.design_for_discrimination([found.last, *_closest_rival(found)], problem)
     except (BadInput, np.linalg.LinAlgError) as error:
         return Experiment(why=f"no experiment was designed: {error}")
 
@@ -379,6 +383,7 @@ def _diagnosed(
     findings = (*_findings(chosen.found, after, first), *held_sensor.finding(recordings))
     tell("designing the next experiment", 0.95)
     designed = _next_experiment(chosen.found)
+    roughness = maximum_likelihood.roughness(chosen.found.problem, chosen.found.last)
     laps.end("next experiment")
     added = [*(f.id for f in findings), *(i for i in after.structure.ids if i in UNKNOWN)]
     still = nonparametric.is_dependence_left(chosen.left[1]) or chosen.others_left
@@ -403,15 +408,15 @@ def _diagnosed(
         recordings=tuple(recordings),
         experiment=designed,
         undecided=probabilities.undecided(chosen.found),
-        remarks=(*_remarks(chosen.found, fit), *searched.said, *chosen.said, *said),
+        remarks=(*_remarks(chosen.found, fit, roughness), *searched.said, *chosen.said, *said),
         seconds=laps.seconds,
         not_borne_out=chosen.failed,
         adequacy=replace(pair.figures, says=claim.says),
     )
 
 
-def _remarks(found: SearchResult, fit: Mapping[str, Mapping[str, Fitness]]) -> list[str]:
-    """Where the criteria disagree, and where none of them says much."""
+def _remarks(found: SearchResult, fit: Mapping[str, Mapping[str, Fitness]], roughness: float) -> list[str]:
+    """Where the criteria disagree, and where none of them says much. The likelihood of the last model is so rough."""
     said = []
     held_out = fit["holdout"]
     if held_out["after"].rmse > held_out["before"].rmse:
@@ -426,9 +431,7 @@ def _remarks(found: SearchResult, fit: Mapping[str, Mapping[str, Fitness]]) -> l
         for c in found.problem.recordings
         if c.rattle_mask is not None and c.rattle_mask.mean() >= 0.005
     ]
-    if maximum_likelihood.roughness(found.problem, found.last) > thresholds.MIN_GAIN * model_comparison.overdispersion(
-        [found.last]
-    ):
+    if roughness > thresholds.MIN_GAIN * model_comparison.overdispersion([found.last]):
         said.append(
             "The motor rattles in its gap: a change of only 1 % in the teeth's frequency moves the likelihood by more "
             "than an effect must gain. Effects may be hidden by that: record with fewer reversals, larger ones, or a "
