@@ -61,8 +61,12 @@ def block_gains(problem: FitProblem, smaller: Fit, larger: Fit) -> FloatArray:
 
 
 def recording_gains(problem: FitProblem, smaller: Fit, larger: Fit) -> FloatArray:
-    """By how much the larger model does better on each recording (M,)."""
-    pairs = zip(*(_reading_losses(problem, p, smaller.scale) for p in (smaller, larger)), strict=True)
+    """By how much the larger model does better on each recording (M,), both through the smaller one's filter.
+
+    A filter of its own, which trusts the better model for longer, would take its smaller errors for larger ones.
+    """
+    points = (smaller, replace(larger, process_noise=smaller.process_noise))
+    pairs = zip(*(_reading_losses(problem, p, smaller.scale) for p in points), strict=True)
     return np.array([float(np.sum(one) - np.sum(other)) for one, other in pairs])
 
 
