@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +13,6 @@ import numpy as np
 import pytest
 
 from twin.effects.catalogue import UNKNOWN
-from twin.fmi import compilers
 from twin.model import stepper
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
@@ -72,7 +72,7 @@ PERIOD = 2.0**-9
 def without_zig() -> Iterator[None]:
     """Native FMUs are made for this machine alone: one platform takes a fifth of the time of all."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compilers, "has_zig", lambda: False)
+        patch.setitem(sys.modules, "ziglang", None)
         yield
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin.diagnosis import data_split, diagnose, holdout, nonparametric
+from twin.diagnosis import data_split, diagnose, holdout, nonparametric, residual_torque
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
 from twin.estimation import maximum_likelihood, optimizer, preparation
@@ -66,26 +66,21 @@ def test_a_load_that_grew_a_little_just_before_is_seen_there() -> None:
 
 
 @pytest.mark.parametrize(("ends_slow", "size", "seen"), [(1, 0.12, 1), (1, 0.06, 0), (0, 0.2, 1), (0, 0.12, 0)])
-def test_what_goes_with_the_acceleration_is_less_where_that_is(
-    monkeypatch, ends_slow: int, size: float, seen: int
-) -> None:  # fmt: skip
+def test_what_goes_with_the_acceleration_is_less_where_that_is(ends_slow: int, size: float, seen: int) -> None:
     """A motion that ends slow makes less of a load that changed late than its quick beginning of what a fit had left;
     one that ends quick makes more of what a fit had left, too.
     """
     time = 0.002 * np.arange(15000)
     height = np.linspace(20.0, 60.0, len(time))[:: -1 if ends_slow else 1]
-    duty = height * np.sin(2.0 * np.pi * 1.5 * time)
-    y, _ = run(STRUCTURE, VALUES, time, duty)
-    problem, point, held_out = fitted(Recording("made", time, duty, np.round(y / COUNT) * COUNT, "%", "rad", COUNT))
+    acceleration, nothing = height * np.sin(2.0 * np.pi * 1.5 * time), np.zeros(len(time))
+    whole = residual_torque.MissingTorque(time, nothing, nothing, nothing, acceleration, nothing, 0.002)
+    early, late = whole.between(0.0, 21.0), whole.between(21.0, 30.0)
 
-    def examined(missing, lever):
-        late = float(missing.time[0]) >= held_out[0].begin
-        goes = "acceleration" if late else "velocity"
-        return nonparametric.RemainingDependence(0.5, 0.0, (goes,), goes, size if late else 0.06, ())
+    def goes_with(variable: str, size: float) -> nonparametric.RemainingDependence:
+        return nonparametric.RemainingDependence(0.5, 0.0, (variable,), variable, size, ())
 
-    monkeypatch.setattr(nonparametric, "examine_dependence", examined)
-    said = holdout.physics_only_in_holdout(problem, point, held_out)
-    assert ["goes with acceleration" in says for says in said] == [True] * seen
+    least = holdout._least_size(late, goes_with("acceleration", size), [(early, goes_with("velocity", 0.06))])
+    assert (size > least) == seen
 
 
 def test_where_every_recording_is_held_out_there_is_nothing_to_fit() -> None:

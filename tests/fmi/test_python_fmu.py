@@ -17,12 +17,12 @@ from pathlib import Path
 import fmpy.validation
 import numpy as np
 import pytest
-from native_axis import EVERYTHING, NAMES, PERIOD, RIGID, by_kernel, command, model_of
+from native_axis import EVERYTHING, NAMES, PERIOD, RIGID, by_kernel, command, model_of, without_zig
 
 from fmu_src import pack
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
-from twin.fmi import compilers, python_fmu
+from twin.fmi import python_fmu
 from twin.fmi.fmu_archive import open_fmu
 from twin.fmi.fmu_instance import Running, running
 from twin.io.files import zipped
@@ -43,8 +43,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     models = {name: model_of(structure) for name, structure in STRUCTURES.items()}
     fmus = {name: python_fmu.export(model, folder / f"{name}.fmu") for name, model in models.items()}
     fmus["simple"] = python_fmu.export(model_of(SIMPLE), folder / "simple.fmu")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compilers, "for_linux", lambda *_: None)
+    with without_zig(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shutil, "which", lambda *_: None)
+        patch.delenv("CC", raising=False)
         for name, model in models.items():
             fmus[f"{name}, no compiler"] = python_fmu.export(model, folder / f"{name}-plain.fmu")
     return fmus

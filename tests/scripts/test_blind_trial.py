@@ -10,6 +10,7 @@ import sys
 from concurrent.futures import Future
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -96,18 +97,20 @@ def test_a_pair_in_which_one_brings_the_other_is_not_drawn() -> None:
     assert frozenset({"coulomb_friction", "stribeck_friction"}) not in drawn
 
 
-def test_an_effect_that_cannot_show_is_not_planted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_effect_that_cannot_show_is_not_planted() -> None:
+    """On a rig that moves the same with it and without."""
     label, _, recording = make(5, 1, ("none",), 6.0)
     rig = mujoco_rig.Rig(**label.rig)
+    runs = {seed: mujoco_rig.simulate(rig, [], recording.time, recording.input, seed) for seed in (1, 2)}
     sizes = []
 
-    def faint(simulate, rig, effects, time, duty, seed):
-        sizes.append(effects[0].parameters["gain"])
-        return 0.5
+    def simulate(rig, effects, time, duty, seed):
+        sizes.extend(e.parameters["gain"] for e in effects)
+        return runs[seed]
 
-    monkeypatch.setattr(blind_trial, "visibility", faint)
+    numb = SimpleNamespace(draw_effect=mujoco_rig.draw_effect, simulate=simulate)
     rng = np.random.default_rng(0)
-    assert blind_trial._plant(rng, "gravity", mujoco_rig, rig, recording.time, recording.input, 1, 6.0) is None
+    assert blind_trial._plant(rng, "gravity", numb, rig, recording.time, recording.input, 1, 6.0) is None
     assert len(sizes) == blind_trial.REDRAWS and np.all(np.diff(sizes) > 0.0)
 
 
@@ -271,18 +274,14 @@ class Witness:
         return future
 
 
-def test_the_tool_gets_the_recording_alone_and_the_truth_only_after_a_wrong_answer(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    _, salt, recording = make(5, 1, ("none",), 4.0)
-    name = "gravity"
-    label = outcome({name: 9.0}, {}).label
-    monkeypatch.setattr(blind_trial, "make", lambda *drawn: (label, salt, recording))
+def test_the_tool_gets_the_recording_alone_and_the_truth_only_after_a_wrong_answer() -> None:
+    label, _, recording = make(5, 8, ("single",), 4.0)
+    (name,) = label.names
     right = Answer("explained", ((name, 0.9),), 1.0, 0.1, 1.0)
     wrong = Answer("nothing_missing", (), 1.0, 0.7, 1.0)
     for answers, possible in (((right,), 0.1), ((wrong, right), 0.1), ((wrong, wrong), math.nan)):
         pool = Witness(*answers)
-        opened = blind_trial._trial(pool, 5, 1, ("single",), 4.0, "mujoco")
+        opened = blind_trial._trial(pool, 5, 8, ("single",), 4.0, "mujoco")
         assert opened.answer is answers[0] and opened.possible == pytest.approx(possible, nan_ok=True)
         (alone,), *after = pool.given
         assert np.array_equal(alone.output, recording.output) and [names for _, names in after] == [(name,)] * (

@@ -86,6 +86,26 @@ def _acceleration_ratio(here: MissingTorque, there: MissingTorque) -> float:
     return here.acceleration_rms / max(there.acceleration_rms, 1e-300)
 
 
+def _least_share(missing: MissingTorque) -> float:
+    """What is no physics that held-out data show alone, however little the fitted data leave: a torque this small."""
+    return thresholds.HOLDOUT_MIN_SHARE * missing.acceleration_rms
+
+
+def _least_size(
+    missing: MissingTorque,
+    left: nonparametric.RemainingDependence,
+    fitted: Sequence[tuple[MissingTorque, nonparametric.RemainingDependence]],
+) -> float:
+    """The size from which on a dependence in held-out data is one that the fitted data do not have. What goes with the
+    acceleration is less where the axis accelerates less.
+    """
+    if left.variables == ("acceleration",):
+        return thresholds.HOLDOUT_EXCESS * max(
+            own.size * min(_acceleration_ratio(missing, there), 1.0) for there, own in fitted
+        )
+    return max(thresholds.HOLDOUT_EXCESS * max(own.size for _, own in fitted), _least_share(missing))
+
+
 def physics_only_in_holdout(problem: FitProblem, point: Fit, held_out: Sequence[RecordingPart]) -> list[str]:
     """What the last model lacks in held-out data alone. Physics that did not act before cannot be known.
 
@@ -97,21 +117,14 @@ def physics_only_in_holdout(problem: FitProblem, point: Fit, held_out: Sequence[
         return missing, nonparametric.examine_dependence(missing, case.recording.lever)
 
     fitted = [lacks(c, RecordingPart(c.recording)) for c in problem.recordings]
-    known, loud = max(left.size for _, left in fitted), max(missing.rms for missing, _ in fitted)
+    loud = max(missing.rms for missing, _ in fitted)
     said = []
     for part in held_out:
         (case,) = preparation.prepare_recordings([part.recording], point.structure).recordings
         missing, left = lacks(case, part)
-        least = thresholds.HOLDOUT_MIN_SHARE * missing.acceleration_rms
-        if left.variables == ("acceleration",):
-            enough = thresholds.HOLDOUT_EXCESS * max(
-                own.size * min(_acceleration_ratio(missing, there), 1.0) for there, own in fitted
-            )
-        else:
-            enough = max(thresholds.HOLDOUT_EXCESS * known, least)
-        if nonparametric.is_dependence_left(left) and left.size > enough:
+        if nonparametric.is_dependence_left(left) and left.size > _least_size(missing, left, fitted):
             size, goes = left.size, f"that goes with {' and '.join(left.variables)}"
-        elif missing.rms > max(thresholds.HOLDOUT_EXCESS * loud, least):
+        elif missing.rms > max(thresholds.HOLDOUT_EXCESS * loud, _least_share(missing)):
             size, goes = missing.rms, f"in the mean, the most at {missing.time_of_largest:.3g} s"
         else:
             continue
