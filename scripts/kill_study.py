@@ -5,8 +5,8 @@
 Each command runs twice to its end, which says how long it takes and what it writes. Then it is killed again and again,
 at a moment drawn over the second half of that time and more often near its end, where it publishes. Every second kill
 finds the result of a whole run there, every other one nothing. After it the result is whole, with the bytes in which
-both whole runs agree, or it is absent; of a fleet, which goes on later, that holds for each file. At the end the command runs once more, and the folder holds what one run writes
-and nothing else.
+both whole runs agree, or it is absent. Of a fleet, which goes on later, that holds for each file. At the end the
+command runs once more, and the folder holds what one run writes and nothing else.
 """
 
 from __future__ import annotations
