@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -30,6 +29,8 @@ def without_reading_noise(supply: FloatArray) -> FloatArray:
     FloatArray
         The level (N,), V, NaN where nothing was read.
     """
+    from scipy.signal import lfilter  # slow to import, and only a logged supply needs it
+
     read = np.isfinite(supply)
     step = np.diff(supply[read])
     if step.size < 2:
