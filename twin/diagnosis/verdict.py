@@ -169,10 +169,8 @@ _OPENINGS: Mapping[str, str] = {
 
 
 #: Where the fitted data themselves are not followed: names may help by standing for something else.
-_NOT_THE_CAUSE = (
-    "The figures do not show that what is named is the cause, although with it the free run through the fitted data "
-    "errs {} as much"
-)
+_NOT_THE_CAUSE = "The figures do not show that what is named is the cause"
+_ALTHOUGH = ", although with it the free run through the fitted data errs {} as much"
 
 
 #: The same where no figure speaks against the model, but something in it, or left by it, has no name.
@@ -206,7 +204,8 @@ def sentence(verdict: str, figures: Adequacy, against: Sequence[str]) -> str:
     train = figures.free_run.get("train")
     opening = _OPENINGS[verdict] if against or verdict not in _WITHOUT_NAME else _WITHOUT_NAME[verdict]
     if verdict == "partly_explained" and train is not None and is_off(train.after, train.span):
-        opening = _NOT_THE_CAUSE.format(_percent(train.after.rmse / train.before.rmse))
+        ratio = train.after.rmse / train.before.rmse
+        opening = _NOT_THE_CAUSE + (_ALTHOUGH.format(_percent(ratio)) if LARGER * ratio < 1.0 else "")
     return f"{opening}: {'; '.join(f for f in facts if f)}." if any(facts) else f"{opening}."
 
 
@@ -219,4 +218,6 @@ def _lacking(torque: TorqueFigures) -> str:
 
 
 def _percent(share: float) -> str:
-    return "under 0.1 %" if share < 1e-3 else f"{100.0 * share:.2g} %"
+    if share < 1e-3:
+        return "under 0.1 %"
+    return f"{100.0 * share:.2g} %" if share < 0.995 else f"{100.0 * share:.0f} %"
