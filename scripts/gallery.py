@@ -64,8 +64,8 @@ def _spoiled(counts: Array) -> Array:
 CASES = {
     "explained": Case("gravity", 0.4, 60.0),
     "nothing": Case("", 0.0, 60.0),
-    "cannot-tell": Case("constant_offset", 0.12, 60.0),
-    "unknown": Case("other_bump", 0.5, 60.0),
+    "cannot-tell": Case("input_delay", 0.05, 60.0),
+    "unknown": Case("other_cubic_drag", 0.6, 90.0),
     "faults": Case("coulomb_friction", 0.2, 60.0, _spoiled),
     "speed-only": Case("quadratic_drag", 0.4, 80.0),
 }
