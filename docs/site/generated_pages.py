@@ -169,11 +169,11 @@ REPORTS = {
     "nothing": ("Nothing is missing", "nothing was concealed"),
     "cannot-tell": (
         "Two effects that do the same",
-        "a constant torque was concealed, which unequal dead-bands imitate",
+        "a dead time was concealed, which a lag between command and torque imitates",
     ),
     "unknown": (
         "Something without a name",
-        "a torque at one place of the travel was concealed, which no effect describes",
+        "a drag with the cube of the speed was concealed, which no effect describes",
     ),
     "faults": ("A log with faults", "dry friction was concealed; readings froze, jumped and went missing"),
     "speed-only": ("Only the speed was logged", "drag was concealed; the output is a tachometer in rpm"),
