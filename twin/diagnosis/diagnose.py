@@ -165,7 +165,7 @@ def _split_and_search(
         train, held_out = data_split.split(recordings, where)
         searched = long_recording.stretches(train, thresholds.MANY_STAMPS)
         names, said = [r.name for r in to_fit(recordings)], []
-        if len(searched) != len(train):
+        if searched != train:
             names, held_out = [r.name for r in searched], data_split.short_parts(held_out)
             said = [_stretches_sentence(train, searched)]
         found = forward_selection.search(searched, first, held, candidates, progress)
