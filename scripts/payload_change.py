@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.diagnosis.change import INERTIA, Changes, compare_models
+from twin.diagnosis.change import DRIVE, INERTIA, Changes, compare_models
 from twin.estimation import estimate, maximum_likelihood
 from twin.io.recording import load
 from twin.model.fitted_model import Model
@@ -166,6 +166,9 @@ def summary(found: Sequence[Pair]) -> str:
         value = p.ratio(INERTIA)
         within += value[2] >= low and value[1] <= high
     lines.append(f"inertia's ratio: interval meets the bounds in {within} of {len(other)}")
+    heavier = [c for p in other for c in p.changes.found if c.parameter == INERTIA]
+    drive = sum(DRIVE in c.rivals for c in heavier)
+    lines.append(f"another torque of the drive is offered beside another inertia in {drive} of {len(heavier)}")
     return "\n".join(lines)
 
 

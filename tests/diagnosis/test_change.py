@@ -10,7 +10,7 @@ import pytest
 from example_diagnosis import model_of
 from scipy.stats import binomtest
 
-from twin.diagnosis.change import INERTIA, changes_sentence, compare_models
+from twin.diagnosis.change import DRIVE, INERTIA, changes_sentence, compare_models
 from twin.errors import BadInput
 from twin.model.fitted_model import Model
 
@@ -62,6 +62,17 @@ def test_an_inertia_that_grew_is_not_five_other_things() -> None:
         grown = compare_models(drawn(model, rng), drawn(model, rng, **dict.fromkeys(over, 1 / 3.0))).found
         right += [c.parameter for c in grown] == [INERTIA] and abs(math.log(grown[0].after / 3.0)) < 0.2
     assert right >= 18
+
+
+def test_a_weak_drive_is_offered_where_no_other_torque_tells_it_from_an_inertia() -> None:
+    rng = np.random.default_rng(5)
+    for effects, same in (((), True), (("gravity", "coulomb_friction"), False)):
+        model = correlated(model_of(*effects), rng)
+        over = ("input_gain", "viscous_friction", "gravity_gain", "coulomb_friction")
+        changes = compare_models(drawn(model, rng), drawn(model, rng, **dict.fromkeys(over, 0.3)))
+        assert [c.parameter for c in changes.found] == [INERTIA]
+        assert (DRIVE in changes.found[0].rivals) is same
+        assert ("known weight" in changes_sentence(changes)) is same
 
 
 def test_a_payload_changes_inertia_and_not_the_weight_of_the_rest() -> None:

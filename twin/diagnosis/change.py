@@ -9,6 +9,10 @@ penalty is taken.
 
 A direction is one parameter, or what one cause does to several. For example, all torques are divided by the inertia: an
 inertia that grows by r divides them all by r.
+
+Inertia and torques are measured by the drive's own torque at the same command. A drive whose torque falls, because its
+winding is warm or its supply low, divides the input gain and the back-EMF's damping alone. Where that explains the
+recordings about as well as another inertia, it is offered beside it.
 """
 
 from __future__ import annotations
@@ -47,6 +51,9 @@ NOT_COMPARED = (
     "friction_share", "dry_share", "shaft_share",
 )  # fmt: skip
 INERTIA = "inertia_ratio"
+#: What a drive's torque at the same command acts on. It is offered instead of an inertia, and not looked for itself:
+#: which share of the viscous friction is back-EMF is not known.
+DRIVE, BY_THE_DRIVE = "drive_torque", ("input_gain", "viscous_friction")
 
 
 @dataclass(frozen=True)
@@ -235,6 +242,9 @@ def compare_models(before: Model, after: Model, false_alarms: float = FALSE_ALAR
     if np.count_nonzero(inertia) > 1:
         directions[INERTIA] = inertia
     chosen, rivals = _chosen(d, information, directions, false_alarms)
+    if INERTIA in chosen and not set(BY_THE_DRIVE) - set(names):
+        drive = {DRIVE: np.where([n in BY_THE_DRIVE for n in names], inertia, 0.0)}
+        rivals[INERTIA] += _instead(INERTIA, chosen, drive, (d, information, directions))
     left, sizes, known = _left(d, information, _columns(directions, chosen, len(d)))
     by_name = dict(zip(names, coordinates, strict=True))
     found = [
@@ -276,6 +286,8 @@ def changes_sentence(changes: Changes) -> str:
     said = "; ".join(c.says for c in changes.found)
     rivals = sorted({r.replace("_", " ") for c in changes.found for r in c.rivals})
     doubt = f" A change of the {', or of the '.join(rivals)} would do the same." if rivals else ""
+    if any(DRIVE in c.rivals for c in changes.found):
+        doubt += " A known weight at the axis tells the inertia from the drive."
     return f"Since the model was made: {said}.{doubt}{unknown}"
 
 
@@ -302,12 +314,24 @@ def _chosen(
     sets = (s for size in range(most + 1) for s in combinations(directions, size))
     best = min(sets, key=lambda s: left(s) + needed * len(s))
     without = {name: left([n for n in best if n != name]) for name in best}
-    rivals = {}
-    for name in best:
-        rest = [n for n in best if n != name]
-        offered = {n: left([*rest, n]) for n in directions if n not in best}
-        rivals[name] = tuple(n for n, x in offered.items() if x - left(best) < CANNOT_TELL)
+    others = {n: column for n, column in directions.items() if n not in best}
+    rivals = {name: _instead(name, best, others, (d, information, directions)) for name in best}
     return tuple(sorted(best, key=lambda name: -without[name])), rivals
+
+
+def _instead(
+    name: str, chosen: Sequence[str], offered: Mapping[str, FloatArray],
+    evidence: tuple[FloatArray, FloatArray, Mapping[str, FloatArray]],
+) -> tuple[str, ...]:  # fmt: skip
+    """The offered directions that explain the differences about as well as a chosen one does in its place."""
+    d, information, directions = evidence
+    rest = [directions[n] for n in chosen if n != name]
+
+    def left(columns: Sequence[FloatArray]) -> float:
+        return _left(d, information, np.array(columns).T)[0]
+
+    least = left([*rest, directions[name]])
+    return tuple(n for n, column in offered.items() if left([*rest, column]) - least < CANNOT_TELL)
 
 
 def _change(
@@ -327,8 +351,8 @@ def _change(
     c = coordinates[name]
     if other_inertia and c.per_inertia and c.by_ratio:
         ratio, low, high = (math.exp(v) for v in (size, *ends))
-        shown = name.removesuffix("_gain").replace("_", " ")
-        says = f"the torque of the {shown} is {ratio:.3g} times what it was ({low:.3g} to {high:.3g})"
+        shown = "torque of gravity" if name == "gravity_gain" else name.replace("_", " ")
+        says = f"the {shown} is {ratio:.3g} times what it was ({low:.3g} to {high:.3g})"
         return Change(name, 1.0, ratio, (low, high), "1", says, rivals)
     value, low, high = (c.moved(v) for v in (size, *ends))
     unit = after.unit(name)
