@@ -91,6 +91,23 @@ def test_errors_that_hang_together_widen_the_standard_errors(correlated: float, 
     assert least <= float(np.median(wider)) < most
 
 
+@pytest.mark.parametrize("angle", [0.4, 2.2, -2.9])
+def test_gravity_is_found_whichever_way_the_link_hangs(angle: float) -> None:
+    """It begins as none, at the angle 0. From half of all angles the slope leads below none."""
+    structure = STRUCTURE.with_("gravity").without("backlash")
+    case, truth = made(duration=10.0), {**VALUES, "gravity_gain": 5.0, "gravity_angle": angle}
+    truth = preparation.complete_values(structure, truth)
+    position = kernel.predict(case.drive, kernel.vector(structure, truth), kernel.start_state(0.0, 0.0, 0.0)).reading
+    rng = np.random.default_rng(3)
+    read = position + COUNT * rng.uniform(-0.5, 0.5, len(position))
+    case = prepared_recording.prepare_recording(replace(case.recording, output=read), structure)
+    problem = FitProblem([case], process_noise=filter_memory.process_noise_of(case, 0.2))
+    none = {**truth, "gravity_gain": 0.0, "gravity_angle": 0.0}
+    found = optimizer.levenberg_marquardt(problem, structure, none, problem.free(structure)).values
+    assert found["gravity_gain"] == pytest.approx(5.0, rel=0.02)
+    assert math.remainder(found["gravity_angle"] - angle, 2.0 * math.pi) == pytest.approx(0.0, abs=0.02)
+
+
 def test_a_place_is_remembered_by_all_that_its_likelihood_comes_from() -> None:
     case = made(duration=6.0)
     half = np.arange(len(case.drive.time)) % 2 == 0

@@ -9,6 +9,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.effects.catalogue import EFFECTS
+from twin.effects.phases import polar
 from twin.estimation import filter_memory, likelihood, numerics, parameter_bounds
 from twin.estimation.fit import Fit
 from twin.estimation.problem import FitProblem
@@ -23,6 +25,13 @@ OVERDISPERSION_OF_WRONG_MODEL = 5.0
 MAX_OVERDISPERSION = 10.0
 #: So many steps in a row that bring nothing, each much shorter than the one before, end a climb.
 MAX_REFUSED_STEPS = 4
+#: Sizes of what goes with the sine of an angle, and the angle's parameter. None of these laws differs between a size
+#: below zero and the same above it, half a turn on.
+_ANGLE_OF = {
+    screen.gain: screen.phase
+    for screen in (effect.screen for effect in EFFECTS.values())
+    if screen is not None and screen.combine is polar and screen.phase is not None
+}
 
 
 def _with_resisting_friction(values: dict[str, float], free: Sequence[str]) -> dict[str, float]:
@@ -37,10 +46,25 @@ def _with_resisting_friction(values: dict[str, float], free: Sequence[str]) -> d
     return {**values, "coulomb_friction": size, "friction_asymmetry": math.copysign(size, lean)}
 
 
+def _half_a_turn_on(values: dict[str, float]) -> dict[str, float]:
+    """The same values where no size that has an angle is below zero."""
+    turned = {
+        name: change
+        for gain, angle in _ANGLE_OF.items()
+        if values.get(gain, 0.0) < 0.0
+        for name, change in ((gain, -values[gain]), (angle, math.remainder(values[angle] + math.pi, 2.0 * math.pi)))
+    }
+    return {**values, **turned}
+
+
 def _damped_step(point: Fit, damping: float) -> dict[str, float]:
-    """The values after one damped Gauss-Newton step, the best one within the bounds."""
+    """The values after one damped Gauss-Newton step, the best one within the bounds; a size with an angle may be below
+    zero.
+    """
     here = np.array([point.values[n] for n in point.free])
     low, high = np.array([parameter_bounds.BOUNDS[n] for n in point.free]).T
+    # At zero such a size has no edge: on the other side the angle is another.
+    low = np.array([-h if _ANGLE_OF.get(n) in point.free else b for n, b, h in zip(point.free, low, high, strict=True)])
     least, most = low - here, high - here
     size = np.sqrt(np.maximum(np.diag(point.information), 1e-300))
     scaled = point.information / np.outer(size, size)
@@ -87,6 +111,7 @@ def levenberg_marquardt_from(problem: FitProblem, best: Fit, rounds: int, tolera
         promised = float(2.0 * best.gradient @ change - change @ best.information @ change)
         if promised < enough:
             return best
+        trial_values = _half_a_turn_on(trial_values)
         # Where one step was refused half of the others are, too: these are looked at without their slopes first.
         trial = likelihood.evaluate(
             problem.at(best.process_noise), best.structure, trial_values, () if wary else best.free
