@@ -31,6 +31,15 @@ def correlated(model: Model, rng: np.random.Generator) -> Model:
     return replace(model, covariance=covariance, notes={})
 
 
+def on_a_ridge(model: Model) -> Model:
+    """The model with gap and motor share known to 5 % each, and their product to 1 %."""
+    i, j = model.fitted.index("backlash_gap"), model.fitted.index("motor_share")
+    covariance = np.diag(np.diag(model.covariance))
+    gap, share = 0.05 * model.values["backlash_gap"], 0.05 * model.values["motor_share"]
+    covariance[np.ix_([i, j], [i, j])] = [[gap**2, -0.98 * gap * share], [-0.98 * gap * share, share**2]]
+    return replace(model, covariance=covariance, notes={}, intervals={})
+
+
 def test_an_axis_that_did_not_change_is_left_alone() -> None:
     rng = np.random.default_rng(1)
     alarms = 0
@@ -104,6 +113,25 @@ def test_a_gap_whose_profile_is_wide_has_not_changed() -> None:
     assert [c.parameter for c in compare_models(model, moved).found] == ["backlash_gap"]
     wide = {"backlash_gap": (0.5 * moved.values["backlash_gap"], 2.0 * moved.values["backlash_gap"])}
     assert compare_models(model, replace(moved, intervals=wide)).found == ()
+
+
+def test_a_wider_gap_with_a_lighter_motor_has_not_changed() -> None:
+    """The motor crosses it in the same time, so the likelihood has a ridge there; a gap that alone is wider has."""
+    model = on_a_ridge(model_of("gravity"))
+    gap, share = model.values["backlash_gap"], model.values["motor_share"]
+    slid = model.with_values({"backlash_gap": 1.4 * gap, "motor_share": share / 1.4})
+    assert compare_models(model, slid).found == ()
+    worn = compare_models(model, slid.with_values({"backlash_gap": 1.4 * 1.5 * gap})).found
+    assert [c.parameter for c in worn] == ["backlash_gap"] and worn[0].after == pytest.approx(1.5 * gap)
+
+
+def test_a_load_that_is_heavier_lets_the_gap_alone() -> None:
+    """The motor's share falls as the inertia grows, and the gap stays what it was."""
+    rng = np.random.default_rng(6)
+    model = on_a_ridge(model_of())
+    over = dict.fromkeys(("input_gain", "viscous_friction", "motor_share"), 0.5)
+    found = compare_models(drawn(model, rng), drawn(model, rng, **over)).found
+    assert [c.parameter for c in found] == [INERTIA] and found[0].interval[0] < 2.0 < found[0].interval[1]
 
 
 def test_an_angle_is_compared_around_the_circle() -> None:

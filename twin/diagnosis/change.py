@@ -10,6 +10,10 @@ penalty is taken.
 A direction is one parameter, or what one cause does to several. For example, all torques are divided by the inertia: an
 inertia that grows by r divides them all by r.
 
+A wide gap and a light motor that crosses it in the same time leave nearly the same motion. Along that ridge the
+likelihood has many maxima, one for each order of bounces, and a fit stays in one of them. So the gap is compared at the
+same motor share: by the product of both, which is well known, and which falls where the load's inertia grows.
+
 Inertia and torques are measured by the drive's own torque at the same command. A drive whose torque falls, because its
 winding is warm or its supply low, divides the input gain and the back-EMF's damping alone. Where that explains the
 recordings about as well as another inertia, it is offered beside it.
@@ -51,6 +55,8 @@ NOT_COMPARED = (
     "friction_share", "dry_share", "shaft_share",
 )  # fmt: skip
 INERTIA = "inertia_ratio"
+#: Compared by their product.
+GAP, SHARE = "backlash_gap", "motor_share"
 #: What a drive's torque at the same command acts on. It is offered instead of an inertia, and not looked for itself:
 #: which share of the viscous friction is back-EMF is not known.
 DRIVE, BY_THE_DRIVE = "drive_torque", ("input_gain", "viscous_friction")
@@ -117,11 +123,13 @@ class _Coordinate:
     before: float
     after: float
     by_ratio: bool
+    #: Logarithm by which the motor's share grew, where both are compared by their product.
+    share_grew: float | None = None
 
     @property
     def difference(self) -> float:
         if self.by_ratio:
-            return math.log(self.after / self.before)
+            return math.log(self.after / self.before) + (self.share_grew or 0.0)
         if self.parameter.unit == "rad":
             return math.remainder(self.after - self.before, 2.0 * math.pi)
         return self.after - self.before
@@ -135,10 +143,16 @@ class _Coordinate:
         return self.before * math.exp(by) if self.by_ratio else self.before + by
 
     @property
+    def is_torque(self) -> bool:
+        """Whether the parameter is a torque over the inertia."""
+        return "over inertia" in self.parameter.meaning or self.parameter.name == "input_gain"
+
+    @property
     def per_inertia(self) -> float:
         """Change of the coordinate for a unit of the logarithm of the inertia."""
-        over = "over inertia" in self.parameter.meaning or self.parameter.name == "input_gain"
-        if not over:
+        if self.share_grew is not None:
+            return -1.0
+        if not self.is_torque:
             return 0.0
         return -1.0 if self.by_ratio else -self.before
 
@@ -150,25 +164,37 @@ def _undetermined(model: Model, name: str) -> bool:
 
 
 def _coordinates(before: Model, after: Model, names: Sequence[str]) -> list[_Coordinate]:
-    def surely(model: Model, name: str) -> bool:
-        return abs(model.values[name]) > SURELY_NOT_ZERO * model.std(name)
+    def surely(name: str) -> bool:
+        """Whether both values are clearly on the same side of zero."""
+        far = all(abs(m.values[name]) > SURELY_NOT_ZERO * m.std(name) for m in (before, after))
+        return far and before.values[name] * after.values[name] > 0.0
 
-    return [
-        _Coordinate(
-            before.parameter(n), before.values[n], after.values[n],
-            surely(before, n) and surely(after, n) and before.values[n] * after.values[n] > 0.0
-            and before.parameter(n).unit != "rad",
-        )
-        for n in names
-    ]  # fmt: skip
+    shared = all(SHARE in m.fitted for m in (before, after)) and surely(SHARE)
+    grew = math.log(after.values[SHARE] / before.values[SHARE]) if shared else None
+
+    def coordinate(name: str) -> _Coordinate:
+        parameter = before.parameter(name)
+        by_ratio = surely(name) and parameter.unit != "rad"
+        along = grew if name == GAP and by_ratio else None
+        return _Coordinate(parameter, before.values[name], after.values[name], by_ratio, along)
+
+    return [coordinate(n) for n in names]
 
 
 def _spread(model: Model, names: Sequence[str], coordinates: Sequence[_Coordinate]) -> FloatArray:
     """Covariance (n, n) of the coordinates in one fit."""
-    rows = [model.fitted.index(n) for n in names]
-    slopes = np.array([c.slope(model.values[n]) for n, c in zip(names, coordinates, strict=True)])
-    covariance = model.covariance[np.ix_(rows, rows)] + np.diag([_excess(model, n) for n in names])
-    return np.asarray(covariance * np.outer(slopes, slopes))
+    slopes, excess = np.zeros((len(names), len(model.fitted))), np.zeros(len(names))
+    for i, (name, c) in enumerate(zip(names, coordinates, strict=True)):
+        slope = c.slope(model.values[name])
+        slopes[i, model.fitted.index(name)] = slope
+        excess[i] = _excess(model, name) * slope**2
+        if c.share_grew is not None:
+            per_share = 1.0 / model.values[SHARE]
+            slopes[i, model.fitted.index(SHARE)] = per_share
+            # By as much as the share's is wider, the gap's profile is wide along the ridge.
+            excess[i] = max(0.0, excess[i] - _excess(model, SHARE) * per_share**2)
+    used = np.any(slopes != 0.0, axis=0)
+    return np.asarray(slopes[:, used] @ model.covariance[np.ix_(used, used)] @ slopes[:, used].T + np.diag(excess))
 
 
 def _excess(model: Model, name: str) -> float:
@@ -349,7 +375,7 @@ def _change(
         says = f"the inertia is {ratio:.3g} times what it was ({low:.3g} to {high:.3g})"
         return Change(name, 1.0, ratio, (low, high), "1", says, rivals)
     c = coordinates[name]
-    if other_inertia and c.per_inertia and c.by_ratio:
+    if other_inertia and c.is_torque and c.by_ratio:
         ratio, low, high = (math.exp(v) for v in (size, *ends))
         shown = "torque of gravity" if name == "gravity_gain" else name.replace("_", " ")
         says = f"the {shown} is {ratio:.3g} times what it was ({low:.3g} to {high:.3g})"
@@ -359,6 +385,6 @@ def _change(
     shown = "" if unit == "1" else f" {unit}"
     grew = "grew" if abs(value) > abs(c.before) else "fell"
     says = f"the {name.replace('_', ' ')} {grew} from {c.before:.3g} to {value:.3g}{shown} ({low:.3g} to {high:.3g})"
-    if other_inertia and c.per_inertia:
+    if other_inertia and c.is_torque:
         says += " over the inertia that was"
     return Change(name, c.before, value, (low, high), unit, says, rivals)
