@@ -32,6 +32,7 @@ from twin.diagnosis.api import fit_again
 from twin.diagnosis.change import INERTIA, Changes, compare_models
 from twin.estimation import estimate, maximum_likelihood
 from twin.io.recording import Recording
+from twin.model.fitted_model import Model
 
 #: What may change: the effect that it belongs to, its name in the simulator, its name in the model.
 CHANGES = {
@@ -126,10 +127,19 @@ def make(seed: int, trial: int, seconds: float) -> tuple[Label, list[Recording],
     return label, recordings, (effect,) if effect else ()
 
 
-def ask(recordings: Sequence[Recording], effects: tuple[str, ...]) -> Changes:
-    """What the tool says, from the recordings and the structure alone."""
+def ask(recordings: Sequence[Recording], effects: tuple[str, ...], kept: Path | None = None) -> Changes:
+    """What the tool says, from the recordings and the structure alone; both fits are written to files named so."""
     before = maximum_likelihood.identify([recordings[0]], estimate.first_structure((), effects))
-    return compare_models(before, fit_again(before, recordings[1]))
+    after = fit_again(before, recordings[1])
+    if kept is not None:
+        before.write(kept.with_suffix(".before.toml"))
+        after.write(kept.with_suffix(".after.toml"))
+    return compare_models(before, after)
+
+
+def ask_again(kept: Path) -> Changes:
+    """What the tool says of two fits that are kept."""
+    return compare_models(*(Model.read(kept.with_suffix(f".{when}.toml")) for when in ("before", "after")))
 
 
 def judge(label: Label, said: Changes) -> Outcome:
@@ -166,13 +176,18 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first trial")
     parser.add_argument("--seconds", type=float, default=20.0, help="of each recording")
     parser.add_argument("--seed", type=int, default=60)
+    parser.add_argument("--models", type=Path, help="folder where fits are kept, and taken from where they are there")
     given = parser.parse_args(arguments)
     estimate.compile_kernel(lambda sentence, share: None)
+    if given.models:
+        given.models.mkdir(exist_ok=True)
     outcomes = []
     for trial in range(given.first, given.first + given.trials):
         label, recordings, effects = make(given.seed, trial, given.seconds)
         print(f"trial {trial}: sealed {label.sealed()}", end=" ", flush=True)
-        outcome = judge(label, ask(recordings, effects))
+        kept = given.models / f"{given.seed}_{trial}" if given.models else None
+        done = kept is not None and kept.with_suffix(".after.toml").exists()
+        outcome = judge(label, ask_again(kept) if kept and done else ask(recordings, effects, kept))
         outcomes.append(outcome)
         state = "right" if outcome.right else "wrong"
         shown = "" if outcome.visible or not label.parameter else ", not visible"
