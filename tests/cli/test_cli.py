@@ -203,6 +203,7 @@ def test_wrong_arguments_take_one_line(capsys, bench):
     assert "--out" in refused(capsys, bench, "identify", "good.csv")
     assert "--native" in refused(capsys, bench, "export", "model.toml", "--native", "--out", "new.fmu")
     assert "native" in refused(capsys, bench, "export", "model.toml", "--fmi", "3", "--out", "new.fmu")
+    assert "native" in refused(capsys, bench, "export", "model.toml", "--held-input", "--out", "new.fmu")
     assert "percentage" in refused(capsys, bench, "check", "arm.fmu", "--log", "good.csv", "--max-nrmse", "small")
     assert "above 0" in refused(capsys, bench, "check", "arm.fmu", "--log", "good.csv", "--max-nrmse", "0")
     assert "two different outputs" in refused(

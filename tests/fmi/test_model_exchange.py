@@ -2,63 +2,40 @@
 
 from __future__ import annotations
 
-import csv
+import sys
 from pathlib import Path
 
 import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi2 import FMU2Model
-from native_axis import by_kernel, model_of, without_zig
+from fmpy.validation import validate_fmu
+from native_axis import by_kernel
 
-from twin.effects.catalogue import BASE
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+
+import exchange_study
+from exchange_study import PERIOD, table
+
+from twin.cli.main import main
+from twin.fmi import python_fmu
 from twin.fmi.native_fmu import export_native
-from twin.model.fitted_model import Model
-from twin.model.stepper import Structure
+from twin.model.fitted_model import Model, dumps
 
-RECORDED = Path(__file__).resolve().parents[2] / "models" / "shipped" / "recording.csv"
-SECONDS = 20.0
-PERIOD = 0.002
 #: A tenth of a degree is 1.7e-3 rad: an importer may not be further away than this.
 CLOSE = 1e-3
-STRUCTURES = {
-    # The duty reverses while the axis is about to break away.
-    "friction": Structure.of(("inertia", "viscous_friction", "coulomb_friction")),
-    # Two bodies, the second one pushed across a gap.
-    "teeth": Structure.of((*BASE, "tooth_compliance", "coulomb_friction", "gravity")),
-}
-
-
-def recorded_duty() -> np.ndarray:
-    """The first 20 s of the recording that ships with the project (N,), percent."""
-    with RECORDED.open() as file:
-        rows = list(csv.DictReader(file))
-    return np.array([float(row["duty"]) for row in rows[: round(SECONDS / PERIOD) + 1]])
 
 
 @pytest.fixture(scope="module")
 def duty() -> np.ndarray:
-    return recorded_duty()
+    return exchange_study.recorded_duty()
 
 
-@pytest.fixture(scope="module", params=STRUCTURES)
+@pytest.fixture(scope="module", params=exchange_study.STRUCTURES)
 def axis(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Model, Path]:
-
-    model = model_of(STRUCTURES[request.param])
-    with without_zig():
+    model = exchange_study.axis(request.param)
+    with exchange_study.for_this_machine():
         return model, export_native(model, tmp_path_factory.mktemp("fmu") / f"{request.param}.fmu")
-
-
-def table(duty: np.ndarray, doubled: bool) -> np.ndarray:
-    """The duty as FMPy takes it: held between stamps where its edges are doubled rows, else a line between them."""
-    rows = [(0.0, duty[0])]
-    for i in range(1, len(duty)):
-        if doubled and duty[i] != duty[i - 1]:
-            rows.append((i * PERIOD, duty[i - 1]))
-        if not doubled or duty[i] != duty[i - 1]:
-            rows.append((i * PERIOD, duty[i]))
-    rows.append((len(duty) * PERIOD, duty[-1]))
-    return np.array(rows, dtype=[("time", float), ("duty", float)])
 
 
 def truth(model: Model, duty: np.ndarray, doubled: bool) -> np.ndarray:
@@ -72,15 +49,7 @@ def truth(model: Model, duty: np.ndarray, doubled: bool) -> np.ndarray:
 def largest_error(axis: tuple[Model, Path], duty: np.ndarray, doubled: bool, **options: object) -> float:
     """Of FMPy's positions at the stamps, rad."""
     model, fmu = axis
-    seconds = (len(duty) - 1) * PERIOD
-    run = fmpy.simulate_fmu(
-        str(fmu), fmi_type="ModelExchange", stop_time=seconds, input=table(duty, doubled), output=["position"],
-        start_values={"position_start": 0.3, "velocity_start": -1.0}, **options,
-    )  # fmt: skip
-    at = np.round(run["time"] / PERIOD).astype(int)
-    on = np.abs(run["time"] - at * PERIOD) < 1e-9
-    assert run["time"][-1] == pytest.approx(seconds) and on.sum() > seconds / 0.02
-    return float(np.max(np.abs(run["position"][on] - truth(model, duty, doubled)[at[on]])))
+    return exchange_study.largest_error(fmu, truth(model, duty, doubled), table(duty, doubled), options)
 
 
 def test_in_fmpy_with_cvode(axis: tuple[Model, Path], duty: np.ndarray) -> None:
@@ -88,8 +57,40 @@ def test_in_fmpy_with_cvode(axis: tuple[Model, Path], duty: np.ndarray) -> None:
     assert error < CLOSE
 
 
+@pytest.mark.parametrize(("fmi", "rows"), [(2, 10001), (3, 2001)])
+def test_a_held_input_takes_a_table_without_doubled_rows(
+    axis: tuple[Model, Path], duty: np.ndarray, tmp_path: Path, fmi: int, rows: int
+) -> None:
+    """What was recorded at a stamp acts until the next one, as it does in the model."""
+    model, duty = axis[0], duty[:rows]
+    with exchange_study.for_this_machine():
+        fmu = export_native(model, tmp_path / "held.fmu", fmi)
+    python_fmu.hold_input(fmu)
+    assert validate_fmu(str(fmu)) == []
+    options = {"solver": "CVode", "output_interval": 0.01, "relative_tolerance": 1e-6}
+    assert exchange_study.largest_error(fmu, truth(model, duty, True), table(duty, False), options) < CLOSE
+
+
+def test_a_continuous_input_does_not(axis: tuple[Model, Path], duty: np.ndarray) -> None:
+    """The same table is a line from row to row there: that is another command, and it shows."""
+    model, duty = axis[0], duty[:2001]
+    options = {"solver": "CVode", "output_interval": 0.01, "relative_tolerance": 1e-6}
+    assert exchange_study.largest_error(axis[1], truth(model, duty, True), table(duty, False), options) > 2.0 * CLOSE
+
+
+def test_an_update_keeps_the_input_held(axis: tuple[Model, Path], tmp_path: Path) -> None:
+    model, _ = axis
+    path, held = tmp_path / "MODEL.toml", tmp_path / "held.fmu"
+    path.write_text(dumps(model))
+    with exchange_study.for_this_machine():
+        assert main(["export", str(path), "--out", str(held), "--target", "native", "--held-input", "--quiet"]) == 0
+    python_fmu.update(held, Model(model.structure, dict(model.values) | {"input_gain": 1.5}))
+    inputs = [v for v in fmpy.read_model_description(str(held)).modelVariables if v.causality == "input"]
+    assert [v.variability for v in inputs] == ["discrete"]
+
+
 def test_in_fmpy_with_a_table_without_doubled_rows(axis: tuple[Model, Path], duty: np.ndarray) -> None:
-    """FMPy's CVode evaluates rates with the input of its last step: of the first order, as its steps are short."""
+    """A continuous input: FMPy's CVode evaluates rates with the input of its last step, so it is of the first order."""
     coarse, fine = (
         largest_error(axis, duty[:1501], False, solver="CVode", output_interval=PERIOD / parts) for parts in (1, 4)
     )

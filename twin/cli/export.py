@@ -24,6 +24,8 @@ def _export(args: argparse.Namespace) -> int:
         raise BadInput("--controller goes into a system: add --ssp FILE, or export the CONTROLLER.toml by itself")
     if args.target == "python" and args.fmi == 3:
         raise BadInput("--target python writes FMI 2 only, through pythonfmu: add --target native for FMI 3")
+    if args.held_input and args.target == "python":
+        raise BadInput("--held-input is for solvers of the importer, model exchange: add --target native")
     from twin.io import toml
 
     text = toml.load(args.model, "model", "MODEL.toml", "twin identify")
@@ -35,8 +37,8 @@ def _export(args: argparse.Namespace) -> int:
 
     answer: dict[str, Any] = {"format": "twin-export/1", "fmu": str(args.out), "target": args.target, "fmi": args.fmi}
     if toml.format_of(text) == controller.FORMAT:
-        for option in ("ssv", "ssp", "modelica"):
-            if getattr(args, option) is not None:
+        for option in ("ssv", "ssp", "modelica", "held-input"):
+            if getattr(args, option.replace("-", "_")):
                 raise BadInput(f"--{option} needs the MODEL.toml of the axis, {args.model} is a controller")
         made = controller.loads(text, str(args.model))
         _export_controller(args, made, args.out)
@@ -138,6 +140,8 @@ def _export_axis(
             offers = native_fmu.offers(found.structure)
         else:
             python_fmu.export(found, draft)
+        if args.held_input:
+            python_fmu.hold_input(draft)
         if origin := _origin(args):
             python_fmu.set_origin(draft, origin)
         if recordings:
@@ -197,6 +201,10 @@ def _add_export_arguments(parser: argparse.ArgumentParser) -> None:
         help="python: through pythonfmu (default); native: compiled, needs no Python in the host",
     )  # fmt: skip
     parser.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="FMI version; 3 with --target native only")
+    parser.add_argument(
+        "--held-input", action="store_true",
+        help="with --target native, for model exchange: importers hold the command between the rows of a table",
+    )  # fmt: skip
     parser.add_argument("--ssv", type=Path, metavar="FILE", help="also write the parameters as an SSP parameter set")
     parser.add_argument("--ssp", type=Path, metavar="FILE", help="also pack FMU and parameters as an SSP system")
     parser.add_argument(

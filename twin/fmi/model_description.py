@@ -156,6 +156,15 @@ def with_origin(described: bytes, origin: Mapping[str, str]) -> bytes:
     return text(root)
 
 
+def with_held_input(described: bytes) -> bytes:
+    """The description with a discrete input: under an outside solver the importer holds it between events."""
+    root = ET.fromstring(described)
+    for variable in root.findall("ModelVariables/*"):
+        if variable.get("causality") == "input":
+            variable.set("variability", "discrete")
+    return text(root)
+
+
 def _add_common(root: ET.Element, identity: Identity, shown: Sequence[Variable], solver: Solver) -> None:
     """What stands between the kinds of simulation and the variables, alike in FMI 2 and FMI 3."""
     _add_units(root, {v.unit for v in shown} | {d.unit for d in solver.derivatives})

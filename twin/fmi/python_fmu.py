@@ -176,6 +176,16 @@ def set_origin(fmu: Path, origin: Mapping[str, str]) -> None:
     put(fmu, rewritten(opened, {_DESCRIPTION: described}))
 
 
+def hold_input(fmu: Path) -> None:
+    """Declare the input of an FMU as discrete, as the command of a sampled drive is.
+
+    An importer that solves the axis itself then holds the command from one row of its table to the next, where it draws
+    a line for a continuous input, and enters an event at each change. Nothing else of the FMU differs. Raises BadInput.
+    """
+    opened = open_fmu(fmu)
+    put(fmu, rewritten(opened, {_DESCRIPTION: model_description.with_held_input(opened.read(_DESCRIPTION))}))
+
+
 # ---- replay ----
 
 _READS, _MOVES = OUTPUTS.index("position_measured"), OUTPUTS.index("velocity")
