@@ -140,3 +140,18 @@ def test_a_parameter_without_a_trace_may_be_anything_within_its_bounds() -> None
     low, high = model.intervals["dead_band_forward"]
     assert low <= VALUES["dead_band_forward"] <= high < low + 0.1
     assert not np.any(np.isnan(list(model.intervals.values())))
+
+
+@pytest.mark.parametrize(("limit", "found"), [(40.0, 40.0), (80.0, 100.0)])
+def test_a_limit_of_the_drive_that_is_reached_is_found_and_another_clips_nothing(limit: float, found: float) -> None:
+    """From beyond the largest command no slope leads to it."""
+    rng, structure = np.random.default_rng(7), STRUCTURE.with_("drive_saturation").without("backlash")
+    time = 0.002 * np.arange(3000)
+    duty, truth = steps(rng, len(time)), {**VALUES, "saturation_limit": limit}
+    values = preparation.complete_values(structure, truth)
+    reading, _ = run(structure, values, time, duty)
+    read = COUNT * np.round(reading / COUNT)
+    model = maximum_likelihood.identify([Recording("made", time, duty, read, "%", "rad", COUNT)], structure)
+    assert model.values["saturation_limit"] == pytest.approx(found, rel=0.01)
+    assert model.values["input_gain"] == pytest.approx(VALUES["input_gain"], rel=0.01)
+    assert ("saturation_limit" in model.undetermined) is (limit > 60.0)

@@ -13,6 +13,9 @@ from twin.model.stepper import Structure
 
 FloatArray = NDArray[np.float64]
 
+#: A limit of the drive begins at this share of the largest command. Above that no slope leads back to it.
+_START_OF_LIMIT = 0.9
+
 
 def local_slope(values: FloatArray, width: int, order: int, rank: int, step: float) -> FloatArray:
     """Derivative of this rank of the polynomial that fits each value's `width` neighbours best, (N,).
@@ -77,6 +80,8 @@ def start_values(cases: Sequence[PreparedRecording], structure: Structure) -> di
     if "dead_band_forward" in values:
         lost = float(np.clip(solution[2] / gain, 0.002 * span, 0.3 * span))
         values["dead_band_forward"] = values["dead_band_reverse"] = lost
+    if "saturation_limit" in values:
+        values["saturation_limit"] = _START_OF_LIMIT * span
     if "own_inertia" in values:
         values |= _with_payload(cases, parts)
     if "backlash_gap" in values:

@@ -209,9 +209,19 @@ def likeliest(
     tell("leaving local optima", 0.75)
     problem, point = multistart.leave_local_optima(problem, point)
     if searched == train:
-        return problem.holding(held), point
+        return problem.holding(held), _with_idle_limit(point, train)
     tell("all readings", 0.8)
-    return _on_all(problem, point, train, held)
+    problem, point = _on_all(problem, point, train, held)
+    return problem, _with_idle_limit(point, train)
+
+
+def _with_idle_limit(point: Fit, recordings: Sequence[Recording]) -> Fit:
+    """The same point, whose limit of the drive clips nothing else where no command of the recordings reaches it."""
+    largest = max(float(np.max(np.abs(r.input))) for r in recordings)
+    if "saturation_limit" not in point.free or point.values["saturation_limit"] < largest:
+        return point
+    usual = next(p.start for p in point.structure.parameters if p.name == "saturation_limit")
+    return replace(point, values={**point.values, "saturation_limit": max(usual, largest)})
 
 
 def _check_judged(point: Fit, recordings: Sequence[Recording]) -> None:
