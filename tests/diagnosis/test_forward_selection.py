@@ -570,7 +570,8 @@ def test_of_two_effects_that_hide_each_other_one_is_taken_on_credit(friction: fl
         plain,
         values,
     )
-    gravity = selection_round.screen_candidates(FitProblem(cases), before, ["gravity"])[0]
+    problem = FitProblem(cases)
+    gravity = selection_round.screen_candidates(problem, before, screening.trial_grids(problem, before, ["gravity"]))[0]
     assert not model_comparison.is_significant(before, gravity.point)
     # As if its gain were just what it must be to be looked behind.
     just = (before.deviance - gravity.deviance) / thresholds.MIN_GAIN

@@ -21,6 +21,7 @@ from twin.diagnosis import (
     name_tests,
     nonparametric,
     residual_torque,
+    screening,
     selection_round,
     thresholds,
 )
@@ -93,7 +94,7 @@ def with_name(case: PreparedRecording, base: Fit, *names: str) -> Fit:
 def screened(case: PreparedRecording, base: Fit, effect: str) -> Fit:
     """The base and an effect, from where the screening begins with it."""
     problem = FitProblem([case])
-    (found,) = selection_round.screen_candidates(problem, base, [effect])
+    (found,) = selection_round.screen_candidates(problem, base, screening.trial_grids(problem, base, [effect]))
     return optimizer.levenberg_marquardt_from(problem, found.point, rounds=100, tolerance=0.01)
 
 

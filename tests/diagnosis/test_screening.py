@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 from axis_runs import run, steps
@@ -12,10 +14,16 @@ from twin.diagnosis import residual_torque, screening, selection_round
 from twin.diagnosis.plausibility import is_plausible
 from twin.effects.catalogue import CANDIDATES
 from twin.estimation import filter_memory, likelihood, local_optima, multistart, preparation, prepared_recording
+from twin.estimation.fit import Fit
 from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording
 from twin.model import equations
 from twin.model.stepper import Structure
+
+
+def model_at(problem: FitProblem, structure: Structure, values: Mapping[str, float]) -> Fit:
+    """The model with these values, not fitted."""
+    return likelihood.evaluate(problem.at(1.0), structure, preparation.complete_values(structure, values))
 
 
 def grids_beside(
@@ -23,7 +31,7 @@ def grids_beside(
 ) -> dict[str, list[dict[str, float]]]:
     """What is tried of each candidate where this torque is missing."""
     problem = FitProblem([prepared_recording.prepare_recording(recording, structure)])
-    return screening.trials_for_torque(problem, missing, structure, preparation.complete_values(structure, {}))
+    return screening.trials_for_torque(problem, missing, model_at(problem, structure, {}))
 
 
 def tried_beside(
@@ -71,7 +79,7 @@ def test_what_depends_on_the_position_is_looked_for_along_the_way_where_a_speed_
     assert 40.0 < np.ptp(y) < 60.0 and np.ptp(speed) < 2.0
     case = prepared_recording.prepare_recording(Recording("made", time, duty, speed, "%", "rad/s", 1e-4), structure)
     assert np.abs(case.positions - (y - y[0])).max() < 0.01 * np.ptp(y)
-    tried = screening.trial_grids(FitProblem([case]), structure, there)
+    tried = screening.trial_grids(FitProblem([case]), model_at(FitProblem([case]), structure, there))
     assert min(abs(row["ripple_order"] - 10.0) for row in tried["torque_ripple"]) < 0.2
     for row in tried["end_stop"]:
         assert row["stop_upper"] > 0.9 * np.ptp(y) and row["stop_lower"] < 0.1 * np.ptp(y)
@@ -173,7 +181,7 @@ def test_a_torque_is_looked_for_on_the_motor_and_on_the_link(effect, law, share)
     before = local_optima.refit(
         FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], 0.05)), structure, values
     )
-    trials = screening.trial_grids(FitProblem(cases), structure, before.values)
+    trials = screening.trial_grids(FitProblem(cases), before)
     (entry,) = screening.score_candidates(FitProblem(cases), before, {effect: trials[effect]})
     begun = screening.most_likely_values(
         FitProblem(cases, process_noise=before.process_noise), entry.structure, entry.places
@@ -202,7 +210,7 @@ def test_a_torque_that_dead_bands_had_taken_over_is_found_on_its_own_side_of_the
     before = local_optima.refit(
         FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], 0.1)), structure, values
     )
-    trials = screening.trial_grids(FitProblem(cases), before.structure, before.values)["constant_offset"]
+    trials = screening.trial_grids(FitProblem(cases), before, ["constant_offset"])["constant_offset"]
     (entry,) = screening.score_candidates(FitProblem(cases), before, {"constant_offset": trials})
     begun = screening.most_likely_values(
         FitProblem(cases, process_noise=before.process_noise), entry.structure, entry.places
@@ -227,7 +235,7 @@ def test_what_many_promise_in_shared_runs_is_what_each_does_in_its_own(monkeypat
     before = local_optima.refit(
         FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], 0.1)), structure, values
     )
-    rows = screening.trial_grids(FitProblem(cases), before.structure, before.values)
+    rows = screening.trial_grids(FitProblem(cases), before)
     rows = {e: tried for e, tried in rows.items() if e not in screening.WITHOUT_SCORE_TEST}
     runs = []
     run = likelihood.evaluate
@@ -253,7 +261,7 @@ def test_a_side_of_the_gap_that_is_known_is_not_asked_again() -> None:
     cases = preparation.prepare_recordings([made], structure).recordings
     open_, known = structure.with_("gravity"), structure.with_("torque_ripple", "coulomb_friction")
     for base, sides in ((open_, 2), (known, 1)):
-        rows = screening.trial_grids(FitProblem(cases), base, preparation.complete_values(base, {}))
+        rows = screening.trial_grids(FitProblem(cases), model_at(FitProblem(cases), base, {}))
         assert len(rows["constant_offset"]) == len(rows["friction_asymmetry"]) == sides
         assert len(rows["spring"]) == 1, "a spring pulls at the link"
 
@@ -300,7 +308,9 @@ def test_a_strong_ripple_is_found_from_where_it_follows_what_is_missing(seed) ->
         structure,
         values | rough[0].values,
     )
-    found = min(selection_round._fit_followers(FitProblem(cases), before, ["torque_ripple"]), key=lambda h: h.deviance)
+    missing = residual_torque.missing_torque(cases[0], before.structure, before.values)
+    trials = screening.trials_for_torque(FitProblem(cases), missing, before, ["torque_ripple"])
+    found = min(selection_round._fit_followers(FitProblem(cases), before, missing, trials), key=lambda h: h.deviance)
     assert found.point.values["ripple_order"] == pytest.approx(19.0, abs=0.1)
     assert found.point.values["ripple_torque"] == pytest.approx(26.0, rel=0.1)
 
@@ -326,7 +336,7 @@ def test_a_lag_is_looked_for_ahead_of_the_dead_band_and_behind_it(share) -> None
     before = local_optima.refit(
         FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], 0.1)), structure, rough[0].values
     )
-    trials = screening.trial_grids(FitProblem(cases), structure, before.values)["motor_lag"]
+    trials = screening.trial_grids(FitProblem(cases), before)["motor_lag"]
     (entry,) = screening.score_candidates(FitProblem(cases), before, {"motor_lag": trials})
     begun = screening.most_likely_values(
         FitProblem(cases, process_noise=before.process_noise), entry.structure, entry.places
@@ -350,7 +360,7 @@ def test_a_candidate_moves_nothing_that_is_held() -> None:
     before = local_optima.refit(
         FitProblem(cases, known, process_noise=filter_memory.process_noise_of(cases[0], 0.1)), structure, values
     )
-    trials = screening.trial_grids(FitProblem(cases, known), before.structure, before.values)["joint_elasticity"]
+    trials = screening.trial_grids(FitProblem(cases, known), before)["joint_elasticity"]
     assert all(known.keys() <= row.keys() for row in trials)
     (entry,) = screening.score_candidates(FitProblem(cases, known), before, {"joint_elasticity": trials})
     assert all(known.items() <= place.items() for place in entry.places)
@@ -384,7 +394,7 @@ def test_a_start_is_looked_for_in_parts_of_a_long_recording_unless_it_lies_at_a_
         return evaluate(seen, *rest)
 
     monkeypatch.setattr(likelihood, "evaluate", looked)
-    trials = screening.trial_grids(FitProblem(cases), structure, before.values)[effect]
+    trials = screening.trial_grids(FitProblem(cases), before)[effect]
     (entry,) = screening.score_candidates(FitProblem(cases), before, {effect: trials})
     assert (np.mean(read) < 0.5 * len(time)) == parts
     found = local_optima.refit(FitProblem(cases, process_noise=before.process_noise), entry.structure, entry.places[0])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from twin.diagnosis import residual_torque, torque_regression
+from twin.diagnosis import residual_torque, screening, torque_regression
 from twin.effects.catalogue import BASE, CANDIDATES
 from twin.estimation import filter_memory, preparation, prepared_recording
 from twin.estimation.fit import Fit
@@ -70,7 +69,14 @@ def asked(question, torque: Array, seed: int = 0, **values: float):
 
 
 def found(torque: Array, seed: int = 0) -> list[torque_regression.TorqueFollower]:
-    return asked(partial(torque_regression.ranked_by_torque, candidates=CANDIDATES), torque, seed)
+    def ranked(
+        problem: FitProblem, missing: residual_torque.MissingTorque, base: Fit
+    ) -> list[torque_regression.TorqueFollower]:
+        return torque_regression.ranked_by_torque(
+            missing, base, screening.trials_for_torque(problem, missing, base, CANDIDATES)
+        )
+
+    return asked(ranked, torque, seed)
 
 
 @pytest.mark.parametrize("effect", LAWS)

@@ -298,7 +298,7 @@ def _leads_elsewhere(problem: FitProblem, found: SearchResult, start: Fit, candi
     """
     winner = found.rounds[0].rivals[0]
     open_ = [c for c in candidates if c not in start.structure and c not in winner.added]
-    seconds = selection_round.screen_candidates(problem, start, open_)
+    seconds = selection_round.screen_candidates(problem, start, screening.trial_grids(problem, start, open_))
     return any(model_comparison.criterion_difference(h.point, winner.point) > 0.0 for h in seconds)
 
 
@@ -608,7 +608,7 @@ def _add_with_short_memory(
     And the rounds won."""
     rounds: list[Round] = []
     while len(rounds) < most and (open_ := [c for c in candidates if c not in best.structure]):
-        seen = selection_round.screen_candidates(problem, best, open_)
+        seen = selection_round.screen_candidates(problem, best, screening.trial_grids(problem, best, open_))
         if not any(
             model_comparison.gain(best, h.point) > thresholds.PROMISING_SHARE * thresholds.MIN_GAIN_AT_OTHER_MEMORY
             for h in seen

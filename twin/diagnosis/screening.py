@@ -131,23 +131,19 @@ def _gain(effect: str) -> str:
 
 
 def trial_grids(
-    problem: FitProblem, structure: Structure, values: Mapping[str, float], effects: Iterable[str] = CANDIDATES
+    problem: FitProblem, base: Fit, effects: Iterable[str] = CANDIDATES
 ) -> dict[str, list[dict[str, float]]]:
     """For each of these candidates, values of its non-linear parameters that are worth a try on these recordings."""
-    missing = residual_torque.missing_torque(problem.longest, structure, values)
-    return trials_for_torque(problem, missing, structure, values, effects)
+    missing = residual_torque.missing_torque(problem.longest, base.structure, base.values)
+    return trials_for_torque(problem, missing, base, effects)
 
 
 def trials_for_torque(
-    problem: FitProblem,
-    missing: MissingTorque,
-    structure: Structure,
-    values: Mapping[str, float],
-    effects: Iterable[str] = CANDIDATES,
+    problem: FitProblem, missing: MissingTorque, base: Fit, effects: Iterable[str] = CANDIDATES
 ) -> dict[str, list[dict[str, float]]]:
-    """The same where the model lacks this torque in the longest of the recordings."""
-    seen = _seen(problem, problem.longest.recorded, missing, values)
-    return {e: with_gap_sides(_page_trials(missing, seen, e), structure, values, e) for e in effects}
+    """The same where the base lacks this torque in the longest of the recordings."""
+    seen = _seen(problem, problem.longest.recorded, missing, base.values)
+    return {e: with_gap_sides(_page_trials(missing, seen, e), base.structure, base.values, e) for e in effects}
 
 
 def _seen(problem: FitProblem, recorded: Recorded, missing: MissingTorque, values: Mapping[str, float]) -> Seen:

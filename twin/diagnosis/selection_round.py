@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from twin.diagnosis import events, model_comparison, residual_torque, screening, thresholds, torque_regression
 from twin.diagnosis.plausibility import is_plausible
+from twin.diagnosis.residual_torque import MissingTorque
 from twin.diagnosis.screening import Candidate
 from twin.effects.catalogue import EFFECTS
 from twin.estimation import (
@@ -44,6 +45,8 @@ from twin.model.stepper import Structure
 from twin.parallel import each
 
 FloatArray = NDArray[np.float64]
+#: Rows of values that each candidate tries.
+Trials = Mapping[str, Sequence[dict[str, float]]]
 
 #: Torques that change no faster than the axis moves.
 SLOW_EFFECTS = ("constant_offset", "gravity", "spring", "quadratic_drag", "thermal_fade", "supply_sag")
@@ -69,9 +72,11 @@ def _short_fit(problem: FitProblem, base: Fit, entry: Candidate) -> Hypothesis:
     return Hypothesis((entry.effect,), found)
 
 
-def screen_candidates(problem: FitProblem, base: Fit, candidates: Sequence[str]) -> list[Hypothesis]:
-    """The candidates that promise most beside the base, after a few steps; the best first."""
-    trials = screening.trial_grids(problem, base.structure, base.values, candidates)
+def screen_candidates(problem: FitProblem, base: Fit, trials: Trials) -> list[Hypothesis]:
+    """The candidates that promise most beside the base, after a few steps; the best first.
+
+    `trials` holds the rows of values that each of them tries.
+    """
     entered = screening.score_candidates(problem, base, trials)
     entries = sorted(entered, key=lambda e: -e.promised_gain)
     fits = each(lambda e: _short_fit(problem, base, e), entries[: thresholds.MAX_SCREENED])
@@ -189,14 +194,13 @@ def _refit_deeper(problem: FitProblem, h: Hypothesis) -> list[Hypothesis]:
 
 
 def _fit_followers(
-    problem: FitProblem, base: Fit, candidates: Sequence[str]
+    problem: FitProblem, base: Fit, missing: MissingTorque, trials: Trials
 ) -> list[Hypothesis]:  # fmt: skip
     """The candidates that follow the missing torque best, fitted from those values, on either side of the gap."""
-    missing = residual_torque.missing_torque(problem.longest, base.structure, base.values)
-    best = torque_regression.ranked_by_torque(problem, missing, base, candidates)[: thresholds.MAX_FOLLOWERS]
+    best = torque_regression.ranked_by_torque(missing, base, trials)[: thresholds.MAX_FOLLOWERS]
     begun = [(f.effect, f.structure, place) for f in best for place in f.places]
     longer = base.structure.with_("constant_offset")
-    begun += [("constant_offset", longer, place) for place in torque_regression.offset_starts(base, candidates)]
+    begun += [("constant_offset", longer, place) for place in torque_regression.offset_starts(base, list(trials))]
 
     def fitted(start: tuple[str, Structure, dict[str, float]]) -> Hypothesis:
         effect, structure, place = start
@@ -209,12 +213,11 @@ def _fit_followers(
 
 
 def _fit_beside_free_motion(
-    problem: FitProblem, base: Fit, candidates: Sequence[str]
+    problem: FitProblem, base: Fit, missing: MissingTorque, candidates: Sequence[str]
 ) -> list[Hypothesis]:  # fmt: skip
     """The candidates that promise most beside the base fitted to free motion of the axis, if that is far from the base.
     Gap, shares and teeth are searched again.
     """
-    missing = residual_torque.missing_torque(problem.longest, base.structure, base.values)
     free = torque_regression.fit_to_free_motion(problem, missing, base)
     if free is None:
         return []
@@ -223,7 +226,8 @@ def _fit_beside_free_motion(
         point = local_optima.refit(problem.at(base.process_noise), h.point.structure, h.point.values)
         return Hypothesis(h.added, local_optima.restart_gap(problem, point))
 
-    return each(fitted, screen_candidates(problem, free, candidates)[: thresholds.MAX_FITTED])
+    trials = screening.trial_grids(problem, free, candidates)
+    return each(fitted, screen_candidates(problem, free, trials)[: thresholds.MAX_FITTED])
 
 
 def _is_confusable(effect: str, winner: Hypothesis) -> bool:
@@ -235,7 +239,7 @@ def _is_confusable(effect: str, winner: Hypothesis) -> bool:
 def _fit_in_place_of_winner(problem: FitProblem, winner: Hypothesis, structure: Structure, effect: str) -> Hypothesis:
     """The structure with the effect, from where the winner stands."""
     longer, point = preparation.with_tooth_compliance(structure.with_(effect)), winner.point
-    trials = screening.trial_grids(problem, point.structure, point.values, [effect])[effect]
+    trials = screening.trial_grids(problem, point, [effect])[effect]
     places = [screening.values_with(point, longer, effect, t) for t in trials]
     begun = screening.most_likely_values(problem.at(point.process_noise), longer, places)
     return Hypothesis((effect,), local_optima.refit(problem.at(point.process_noise), longer, begun))
@@ -288,6 +292,77 @@ def _test_against_smaller(
     return before, model_comparison.is_significant(before, h.point) and is_confirmed(problem, before, h.point)
 
 
+class _Contest:
+    """The best fit of each effect that was tried beside a model so far."""
+
+    def __init__(self, problem: FitProblem, before: Fit) -> None:
+        self.problem, self.before = problem, before
+        self._best: dict[tuple[str, ...], Hypothesis] = {}
+
+    @property
+    def rivals(self) -> list[Hypothesis]:
+        """All of them: the plausible ones first, the likeliest before the others."""
+        return sorted(
+            self._best.values(), key=lambda h: (not is_plausible(self.problem, h.point, self.before), h.deviance)
+        )
+
+    def keep(self, found: Sequence[Hypothesis]) -> None:
+        """Take over what is better than the fits so far."""
+        self._best.update(_best_per_effect(self.problem, self.before, [*self._best.values(), *found]))
+        events.announce(events.Compared(self.before, tuple((h.added[0], h.point) for h in self._best.values())))
+
+    def worth_more(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Those that gain enough for another fit, and are not far behind the first of the rivals.
+
+        Parameters have their price in a gain: an effect with a place and a width follows chance better than one with a
+        size alone.
+        """
+        leader = self.rivals[0]
+        unit = model_comparison.overdispersion([self.before, leader.point])
+        begun = model_comparison.criterion(self.before, unit)
+        gained = begun - model_comparison.criterion(leader.point, unit)
+        least = max(thresholds.CLOSE_SHARE * gained, thresholds.PROMISING_SHARE * thresholds.MIN_GAIN)
+        return [h for h in found if begun - model_comparison.criterion(h.point, unit) > least]
+
+
+def _fit_promising(contest: _Contest, known: Sequence[Hypothesis], candidates: Sequence[str]) -> list[str]:
+    """Fit the candidates that promise most beside the model before. Returns those that a few steps were made of."""
+    problem, before = contest.problem, contest.before
+    missing = residual_torque.missing_torque(problem.longest, before.structure, before.values)
+    trials = screening.trials_for_torque(problem, missing, before, candidates)
+    ways = (
+        partial(_fit_followers, problem, before, missing, trials),
+        partial(_fit_beside_free_motion, problem, before, missing, candidates),
+        # Regressions on the missing torque leave a core idle: the contest runs beside them.
+        partial(screen_candidates, problem, before, trials),
+    )
+    follow, free, near = each(call, ways)
+    few = [*known, *near[: thresholds.MAX_FITTED]]
+    contest.keep([*follow, *free, *few])
+    contest.keep(_refit_hypotheses(problem.at(before.process_noise), contest.worth_more(few)))
+    return [h.added[0] for h in near]
+
+
+def _examine_leaders(contest: _Contest, candidates: Sequence[str]) -> None:
+    """Fit the rivals that are worth it from further places: each may only have ended in a worse local optimum."""
+    problem, before = contest.problem, contest.before
+    # Effects confused with the best and far behind it are tried in its place: the model without both may be misled.
+    for best in contest.worth_more(contest.rivals[:1]):
+        near_it = [h.added[0] for h in contest.worth_more(contest.rivals)]
+        masks = [e for e in candidates if e not in near_it and _is_confusable(e, best)]
+        contest.keep(each(partial(_fit_in_place_of_winner, problem, best, before.structure), masks))
+    close = contest.worth_more(contest.rivals[: thresholds.MAX_FITTED])
+    ways = [partial(_refit_deeper, problem, h) for h in close]
+    ways += [partial(_fit_on_other_gap_side, problem, before, h) for h in close]
+    contest.keep([h for found in each(call, ways) for h in found])
+    if model_comparison.overdispersion([before, contest.rivals[0].point]) >= thresholds.WHITE_OVERDISPERSION:
+        # Where the likelihood is rough, the one in the best local optimum would win, whatever its effect.
+        rough = contest.worth_more(contest.rivals[:1])
+        contest.keep([Hypothesis(h.added, local_optima.restart_gap(problem, h.point)) for h in rough])
+        pairs = itertools.permutations(contest.worth_more(contest.rivals[: thresholds.MAX_EXCHANGED]), 2)
+        contest.keep(each(lambda pair: _fit_from_other(problem, pair[0], pair[1], before.structure), pairs))
+
+
 def run_round(
     problem: FitProblem,
     before: Fit,
@@ -298,58 +373,23 @@ def run_round(
 
     `known` are rivals that have been fitted already.
     """
-    process_noise, structure, promising = before.process_noise, before.structure, candidates
-    best: dict[tuple[str, ...], Hypothesis] = {}
-
-    def keep(found: Sequence[Hypothesis]) -> None:
-        best.update(_best_per_effect(problem, before, [*best.values(), *found]))
-        events.announce(events.Compared(before, tuple((h.added[0], h.point) for h in best.values())))
-
-    def leading(most: int) -> list[Hypothesis]:
-        return sorted(best.values(), key=lambda h: (not is_plausible(problem, h.point, before), h.deviance))[:most]
-
-    begun = list(known)
+    contest, promising, same = _Contest(problem, before), candidates, problem.at(before.process_noise)
     for _ in range(thresholds.MAX_ROUND_RESTARTS):
-        # Regressions on the missing torque leave a core idle: the contest runs beside them.
-        ways = [partial(way, problem, before, promising) for way in (_fit_followers, _fit_beside_free_motion)]
-        follow, free, near = each(call, [*ways, partial(screen_candidates, problem, before, promising)])
-        keep([*follow, *free, *_refit_hypotheses(problem.at(process_noise), (*begun, *near[: thresholds.MAX_FITTED]))])
-        leaders, begun = leading(2), []
-        places = each(lambda h: local_optima.refit(problem.at(process_noise), structure, h.point.values), leaders)
-        smaller = _better_plausible(problem, before, places)
-        unit = model_comparison.overdispersion([before, leaders[0].point])
-        learned = (before.deviance - smaller.deviance) / unit
+        near, known = _fit_promising(contest, known, promising), ()
+        leaders = contest.rivals[:2]
+        places = each(lambda h: local_optima.refit(same, before.structure, h.point.values), leaders)
+        smaller = _better_plausible(problem, contest.before, places)
+        unit = model_comparison.overdispersion([contest.before, leaders[0].point])
+        learned = (contest.before.deviance - smaller.deviance) / unit
         gained = (smaller.deviance - leaders[0].deviance) / unit
-        before = smaller
+        contest.before = smaller
         # Beside a leader that adds much more than the smaller model learned, another pass changes no order.
         if learned < max(thresholds.PENALTY_PER_PARAMETER, thresholds.CLOSE_SHARE * gained):
             break
         if learned < thresholds.MIN_GAIN:
-            promising = [h.added[0] for h in near]
-    least = thresholds.PROMISING_SHARE * thresholds.MIN_GAIN * unit
-
-    def far() -> float:  # the deviance above which a rival is far behind the best
-        gain = before.deviance - leading(1)[0].deviance
-        return before.deviance - max(thresholds.CLOSE_SHARE * gain, least)
-
-    if before.deviance - leaders[0].deviance > least:
-        # Effects confused with the best and far behind it are tried in its place: the model without both may be misled.
-        near_it = [h.added for h in best.values() if h.deviance < far()]
-        masks = [e for e in candidates if (e,) not in near_it and _is_confusable(e, leaders[0])]
-        keep(each(lambda e: _fit_in_place_of_winner(problem, leaders[0], structure, e), masks))
-    # Those that are not far behind the best may only have ended in a worse local optimum.
-    bar = far()
-    close = [h for h in leading(thresholds.MAX_FITTED) if h.deviance < bar]
-    ways = [partial(_refit_deeper, problem, h) for h in close]
-    ways += [partial(_fit_on_other_gap_side, problem, before, h) for h in close]
-    keep([h for found in each(call, ways) for h in found])
-    if unit >= thresholds.WHITE_OVERDISPERSION:
-        # Where the likelihood is rough, the one in the best local optimum would win, whatever its effect.
-        rough = [h for h in leading(1) if h.deviance < bar]
-        keep([Hypothesis(h.added, local_optima.restart_gap(problem, h.point)) for h in rough])
-        pairs = itertools.permutations([h for h in leading(thresholds.MAX_EXCHANGED) if h.deviance < bar], 2)
-        keep(each(lambda pair: _fit_from_other(problem, pair[0], pair[1], structure), pairs))
-    this = _decide_round(problem, before, list(best.values()))
+            promising = near
+    _examine_leaders(contest, candidates)
+    this = _decide_round(problem, contest.before, contest.rivals)
     return this if this.won else _won_with_second(problem, this, candidates)
 
 
@@ -362,7 +402,12 @@ def _won_with_second(problem: FitProblem, this: Round, candidates: Sequence[str]
         if this.before.deviance - h.deviance < thresholds.MIN_GAIN * this.overdispersion:
             continue
         open_ = [c for c in candidates if c not in h.point.structure]
-        ways = (partial(_fit_followers, problem, h.point, open_), partial(screen_candidates, problem, h.point, open_))
+        missing = residual_torque.missing_torque(problem.longest, h.point.structure, h.point.values)
+        trials = screening.trials_for_torque(problem, missing, h.point, open_)
+        ways = (
+            partial(_fit_followers, problem, h.point, missing, trials),
+            partial(screen_candidates, problem, h.point, trials),
+        )
         follow, near = each(call, ways)
         ended = _refit_hypotheses(problem.at(h.point.process_noise), near[: thresholds.MAX_FITTED])
         both = [x.point for x in (*follow, *ended) if is_plausible(problem, x.point, h.point)]
@@ -391,7 +436,7 @@ def retry_with_long_memory(problem: FitProblem, this: Round, candidates: Sequenc
     ):
         return this
     before = local_optima.refit(problem.at(longer), before.structure, before.values)
-    seen = screen_candidates(problem, before, slow)
+    seen = screen_candidates(problem, before, screening.trial_grids(problem, before, slow))
     if not any(model_comparison.gain(before, h.point) > thresholds.MIN_GAIN_AT_OTHER_MEMORY for h in seen):
         return this
     found = run_round(problem, before, seen, slow)

@@ -201,21 +201,24 @@ def fit_to_free_motion(problem: FitProblem, missing: MissingTorque, base: Fit) -
 
 
 def ranked_by_torque(
-    problem: FitProblem, missing: MissingTorque, base: Fit, candidates: Sequence[str]
+    missing: MissingTorque, base: Fit, trials: Mapping[str, Sequence[dict[str, float]]]
 ) -> list[TorqueFollower]:
-    """The candidates that predict more of the base's missing torque than a change of it would, the best first."""
+    """The candidates that predict more of the base's missing torque than a change of it would, the best first.
+
+    `trials` holds the rows of values that each candidate tries beside this base.
+    """
     states = _moving_averages(missing)
     if len(states["time"]) < _MIN_AVERAGES:
         return []
     torque, turn = states["torque"], (states["time"] / _BLOCK_LENGTH).astype(np.intp) % _FOLDS
     # What is transmitted as far as the base knows: what is missing moves the axis, too, and would follow itself.
     states["transmitted"] = base.values["input_gain"] * states["input"]
-    linear = [e for e in candidates if EFFECTS[e].slot in TORQUE_SLOTS and e not in screening.WITHOUT_SCORE_TEST]
-    trials = screening.trials_for_torque(problem, missing, base.structure, base.values, linear)
+    linear = [e for e in trials if EFFECTS[e].slot in TORQUE_SLOTS and e not in screening.WITHOUT_SCORE_TEST]
     own = _base_regressors(states)
     alone, _ = _cross_validated_regression(own, torque, turn)
     found = []
-    for effect, rows in trials.items():
+    for effect in linear:
+        rows = trials[effect]
         laws = (_effect_regressors(base.structure, effect, row, states) for row in rows)
         told = [_cross_validated_regression(np.concatenate([own, law], axis=1), torque, turn) for law in laws]
         (share, sizes), row = max(zip(told, rows, strict=True), key=lambda t: t[0][0])
