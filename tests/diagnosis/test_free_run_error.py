@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
+from twin.diagnosis import nonparametric
 from twin.diagnosis.free_run_error import compare_horizon, free_run_errors, sentences
-from twin.estimation import horizon, maximum_likelihood
+from twin.estimation import horizon, maximum_likelihood, prepared_recording
 from twin.io.recording import Recording
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
@@ -37,6 +38,18 @@ def test_a_model_that_lacks_friction_is_warned_of() -> None:
     errors = free_run_errors(model, [recording])
     assert errors[0].depends_on
     assert any("lacks physics" in s and "twin diagnose" in s for s in sentences(errors, model, "rad"))
+
+
+@pytest.mark.parametrize(("spring", "matters"), [(1e-3, False), (0.5, True)])
+def test_what_is_certain_but_moves_nothing_is_not_warned_of(spring: float, matters: bool) -> None:
+    """Readings without noise show a torque that is a ten-thousandth of what moves the axis."""
+    time, duty = 0.004 * np.arange(4000), steps(np.random.default_rng(3), 4000, 100, 40.0)
+    pulled = VALUES | {"spring_stiffness": spring, "spring_rest": 0.0}
+    read, _ = run(FIRST.with_("spring"), pulled, time, duty)
+    recording = Recording("made", time, duty, read, "%", "rad", 1e-9)
+    found = nonparametric.remaining_dependence(prepared_recording.prepare_recording(recording, FIRST), FIRST, VALUES)
+    assert found.p_value < 1e-3 and found.share > 0.2
+    assert bool(free_run_errors(Model(FIRST, VALUES), [recording])[0].depends_on) == matters
 
 
 def test_a_model_whose_likeliest_values_make_up_for_physics_is_warned_of() -> None:

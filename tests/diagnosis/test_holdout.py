@@ -77,7 +77,7 @@ def test_what_goes_with_the_acceleration_is_less_where_that_is(ends_slow: int, s
     early, late = whole.between(0.0, 21.0), whole.between(21.0, 30.0)
 
     def goes_with(variable: str, size: float) -> nonparametric.RemainingDependence:
-        return nonparametric.RemainingDependence(0.5, 0.0, (variable,), variable, size, ())
+        return nonparametric.RemainingDependence(0.5, 0.0, (variable,), variable, size, 0.1, ())
 
     least = holdout._least_size(late, goes_with("acceleration", size), [(early, goes_with("velocity", 0.06))])
     assert (size > least) == seen

@@ -589,7 +589,7 @@ def test_a_wave_keeps_its_order_on_a_short_travel(term, travel, order):
 
 
 def left(share: float, p_value: float, size: float) -> nonparametric.RemainingDependence:
-    return nonparametric.RemainingDependence(share, p_value, ("position",), "position", size, ())
+    return nonparametric.RemainingDependence(share, p_value, ("position",), "position", size, 0.1, ())
 
 
 def test_nothing_is_drawn_of_what_chance_makes():

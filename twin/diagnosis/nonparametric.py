@@ -67,7 +67,8 @@ class Dependence:
 class RemainingDependence:
     """What is still predictable in the missing torque: the best of all dependences.
 
-    `p_value` is the chance that noise does as well in any of the tables.
+    `p_value` is the chance that noise does as well in any of the tables. `of_motion` is its size as a share of the
+    axis' acceleration.
     """
 
     share: float
@@ -75,6 +76,7 @@ class RemainingDependence:
     variables: tuple[str, ...]
     table: str
     size: float
+    of_motion: float
     dependences: tuple[Dependence, ...]  # all that were looked at, the most telling first
 
 
@@ -215,7 +217,7 @@ def examine_dependence(missing: MissingTorque, lever: float = 1.0, seed: int = 1
     """
     means = _averages(missing)
     if len(means["torque"]) < 20 * _FOLDS:
-        return RemainingDependence(0.0, 1.0, (), "", 0.0, ())
+        return RemainingDependence(0.0, 1.0, (), "", 0.0, 0.0, ())
     torque = _without_impacts(means["torque"])
     stretch = (means["time"] / _BLOCK_LENGTH).astype(np.intp)
     pieces = int(stretch.max()) + 1
@@ -230,7 +232,10 @@ def examine_dependence(missing: MissingTorque, lever: float = 1.0, seed: int = 1
     p_value = _gumbel_p_value(max(d.score for d in found), np.max(nulls, axis=0))
     found.sort(key=lambda d: -d.share)
     best = found[0]
-    return RemainingDependence(max(best.share, 0.0), p_value, best.variables, best.table, best.size, tuple(found))
+    of_motion = best.size / max(missing.acceleration_rms, 1e-300)
+    return RemainingDependence(
+        max(best.share, 0.0), p_value, best.variables, best.table, best.size, of_motion, tuple(found)
+    )
 
 
 def remaining_dependence(
@@ -242,7 +247,11 @@ def remaining_dependence(
 
 def is_dependence_left(found: RemainingDependence) -> bool:
     """Whether the remaining dependence counts: it is significant, and larger than a rig's ordinary imperfection."""
-    return found.p_value < thresholds.DEPENDENCE_MAX_P_VALUE and found.share >= thresholds.DEPENDENCE_MIN_SHARE
+    return (
+        found.p_value < thresholds.DEPENDENCE_MAX_P_VALUE
+        and found.share >= thresholds.DEPENDENCE_MIN_SHARE
+        and found.of_motion >= thresholds.DEPENDENCE_MIN_OF_MOTION
+    )
 
 
 def share_removed(before: RemainingDependence, after: RemainingDependence) -> float:

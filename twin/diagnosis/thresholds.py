@@ -127,6 +127,9 @@ CLEAR_ERROR_RATIO = 0.5
 DEPENDENCE_MAX_P_VALUE = 0.01
 #: Share of the missing torque's variance from which on what is left counts: a sound rig leaves less.
 DEPENDENCE_MIN_SHARE = 0.2
+#: Share of the axis' acceleration below which it does not count, however certain it is: no rig is known to that, and
+#: the arithmetic of a simulator alone leaves a hundredth of it.
+DEPENDENCE_MIN_OF_MOTION = 1e-3
 #: Part of the predictable torque's power that names must remove to stand for it.
 MIN_SHARE_REMOVED = 0.75
 
