@@ -31,7 +31,7 @@ from twin.estimation.fit import Fit
 from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording
 from twin.model.stepper import BASE, Structure
-from twin.report import html, wording
+from twin.report import explorer, html, wording
 from twin.report.html import Story
 from twin.simulation import kernel
 
@@ -80,6 +80,9 @@ def test_what_the_recording_cannot_separate_is_shown_as_two(effect, rival, seed,
         assert named.id == pair.ids[0] and named.probability == pair.probabilities[0] < 0.9
         assert dict(found.ranking)[pair.ids[1]] == pair.probabilities[1] > 0.1
     assert sum(p for _, p in found.ranking) <= 1.0 + 1e-9
+    # Both parts of the recording are shown, by the name that the user knows.
+    assert [(t.name, t.role) for t in found.traces] == [("slow", "train"), ("slow", "holdout")]
+    assert np.isfinite(explorer._spliced(found.recordings[0], found.traces, "after")).all()
     # Where so little travel leaves no input that would decide, it says so.
     assert all(wording.title(i) in found.experiment.why for i in (named.id, rivals[0]))
 

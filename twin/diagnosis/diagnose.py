@@ -377,7 +377,8 @@ def _diagnosed(
     laps.end("locate")
     tell("checking on held-out data through the FMU", 0.9)
     runs = [*(("train", RecordingPart(r)) for r in searched.train), *(("holdout", p) for p in searched.held_out)]
-    shown = holdout.traces(before, after, runs, closed)
+    names = [*searched.names, *(p.recording.name for p in searched.held_out)]
+    shown = [replace(t, name=n) for t, n in zip(holdout.traces(before, after, runs, closed), names, strict=True)]
     fit = _fit_by_role(shown, chosen.found.problem, pair)
     laps.end("held-out check through FMPy")
     findings = (*_findings(chosen.found, after, first), *held_sensor.finding(recordings))

@@ -54,7 +54,10 @@ class Fitness:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One recording, or part of one, beside two free runs. Arrays have shape (N,)."""
+    """One recording, or part of one, beside two free runs. Arrays have shape (N,).
+
+    `name` is that of the whole recording.
+    """
 
     name: str
     role: str  # train | holdout

@@ -252,7 +252,9 @@ async function explore(root, told) {
       ink.textBaseline = "top";
       for (const t of across) {
         ink.beginPath(); ink.moveTo(x(t), TOP); ink.lineTo(x(t), height - BOTTOM); ink.stroke();
-        ink.fillText(t.toFixed(digits) + (n === canvases.length - 1 ? ` ${unit}` : ""), x(t), height - BOTTOM + 5);
+        const label = t.toFixed(digits) + (n === canvases.length - 1 ? ` ${unit}` : "");
+        /* The last one ends where the panel does. */
+        ink.fillText(label, Math.min(x(t), width - 0.5 * ink.measureText(label).width - 1), height - BOTTOM + 5);
       }
       ink.save();
       ink.beginPath();
@@ -265,6 +267,12 @@ async function explore(root, told) {
         trace(ink, data[line.channel], x, y, from, to, width - LEFT - RIGHT);
       }
       ink.setLineDash([]);
+      if (!lines.some(line => data[line.channel].subarray(from, to).some(v => !Number.isNaN(v)))) {
+        ink.fillStyle = colour("muted");
+        ink.textAlign = "center";
+        ink.textBaseline = "middle";
+        ink.fillText("nothing known here", 0.5 * (LEFT + width - RIGHT), 0.5 * (TOP + height - BOTTOM));
+      }
       if (drag && drag.to !== undefined) {
         ink.fillStyle = colour("select");
         const [a, b] = [x(drag.from), x(drag.to)].sort((p, q) => p - q);
@@ -290,10 +298,10 @@ async function explore(root, told) {
     }
     const i = indexAt(cursor), parts = [`${data.time[i].toFixed(3)} ${unit}`];
     for (const panel of told.panels) {
-      for (const line of drawn(panel)) {
-        const value = data[line.channel][i];
-        parts.push(`${line.says} ${Number.isNaN(value) ? "left out" : value.toPrecision(4)} ${panel.unit}`);
-      }
+      const known = drawn(panel).filter(line => !Number.isNaN(data[line.channel][i]));
+      /* A lone line that says what its panel does needs no second name. */
+      const said = known.map(line => (known.length > 1 ? `${line.says} ` : "") + data[line.channel][i].toPrecision(4));
+      parts.push(`${panel.title}: ${said.join(", ") || "not read"}`);
     }
     const band = told.stretches[current].bands.filter(b => b.start <= cursor && cursor <= b.end);
     readout.textContent = [...parts, ...band.map(b => b.says)].join(" · ").replaceAll("-", "−");

@@ -115,7 +115,7 @@ def _stretch(d: Diagnosis, recording: Recording, without: Mapping[str, Model], s
         for which, missing in (("before", d.missing_before), ("after", d.missing_after)):
             known = np.isfinite(missing.torque)
             if known.any():
-                torque = np.interp(recording.time, missing.time[known], missing.torque[known])
+                torque = np.interp(recording.time, missing.time[known], missing.torque[known], np.nan, np.nan)
                 channels[f"missing_{which}"] = np.where(np.isfinite(recording.output), torque, np.nan)
     held_out = [t for t in traces if t.role == "holdout" and len(t.time)]
     for effect, model in without.items():
