@@ -15,7 +15,7 @@ from twin.control.controller import Controller, dumps
 from twin.fmi import model_description, native_fmu
 from twin.io.files import check_free, put
 from twin.model.stepper import KNOWN, STATES
-from twin.model.variables import Variable
+from twin.model.variables import Variable, numbered
 
 #: Settings that shape the text's loops, so that no importer may change them.
 FIXED = ("sample_time", "pieces", "whole", "part")
@@ -36,27 +36,23 @@ def _sizes(controller: Controller) -> list[int]:
 
 def variables(controller: Controller) -> tuple[Variable, ...]:
     """Every variable of the controller's FMU: inputs, output, parameters, hidden memory, in this order."""
-    found: list[Variable] = []
-
-    def add(name: str, kind: tuple[str, str, str | None], unit: str, says: str, **numbers: Any) -> None:
-        shown = unit.format(x=controller.axis_unit, u=controller.input_unit)
-        found.append(Variable(name, len(found), *kind, shown, says, **numbers))
-
-    for name, (unit, says) in _INPUTS.items():
-        add(name, ("input", "continuous", None), unit, says, nominal=1.0, start=0.0)
-    add(controller.input_name, ("output", "discrete", "calculated"), "{u}", "command to the axis")
     tunable, held = ("parameter", "tunable", "exact"), ("local", "discrete", "calculated")
+    found = [
+        Variable(name, "input", "continuous", None, unit, says, nominal=1.0, start=0.0)
+        for name, (unit, says) in _INPUTS.items()
+    ]
+    found.append(Variable(controller.input_name, "output", "discrete", "calculated", "{u}", "command to the axis"))
     for p in controller.structure.parameters:
         low, high = (b if abs(b) < 1e300 else None for b in (p.lower, p.upper))
-        add(p.name, tunable, p.unit, p.meaning, min=low, max=high, start=float(controller.values[p.name]))
+        found.append(Variable(p.name, *tunable, p.unit, p.meaning, low, high, start=float(controller.values[p.name])))
     for name, (unit, says) in KNOWN.items():
-        add(name, tunable, unit, says, start=float(controller.known.get(name, 0.0)))
+        found.append(Variable(name, *tunable, unit, says, start=float(controller.known.get(name, 0.0))))
     for name, (unit, says) in control_law.SETTINGS.items():
         if name not in FIXED:
-            add(name, tunable, unit, says, start=float(controller.settings[name]))
+            found.append(Variable(name, *tunable, unit, says, start=float(controller.settings[name])))
     for i in range(_CLOCK + sum(_sizes(controller))):
-        add(f"memory[{i + 1}]", held, "1", "what the controller remembers")
-    return tuple(found)
+        found.append(Variable(f"memory[{i + 1}]", *held, "1", "what the controller remembers"))
+    return numbered(found, controller.axis_unit, controller.input_unit)
 
 
 def interface(controller: Controller) -> dict[str, Any]:

@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from twin.errors import BadInput
 from twin.model.equations import trace
@@ -59,7 +60,6 @@ class Variable:
     """
 
     name: str
-    reference: int
     causality: str  # input, output, parameter, local
     variability: str  # continuous, discrete, tunable, fixed
     initial: str | None  # exact, calculated
@@ -70,6 +70,7 @@ class Variable:
     nominal: float | None = None
     start: float | None = None
     initially_from: tuple[str, ...] = ()
+    reference: int = -1
 
 
 def base_unit(unit: str) -> tuple[float, dict[str, int]]:
@@ -110,63 +111,75 @@ def _bound(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _unit(text: str, model: Model) -> str:
-    return text.format(x=model.axis_unit, u=model.input_unit)
-
-
 def variables(model: Model) -> tuple[Variable, ...]:
     """Every variable of the model's FMU: input, outputs, parameters, hidden states, in this order."""
-    found: list[Variable] = []
-
-    def add(
-        name: str, kind: tuple[str, str, str | None], unit: str, description: str,
-        low: float | None = None, high: float | None = None, nominal: float | None = None,
-        start: float | None = None, initially_from: tuple[str, ...] = (),
-    ) -> None:  # fmt: skip
-        shown = _unit(unit, model)
-        found.append(Variable(name, len(found), *kind, shown, description, low, high, nominal, start, initially_from))
-
     parameter, fixed = ("parameter", "tunable", "exact"), ("parameter", "fixed", "exact")
     output, local = ("output", "continuous", "calculated"), ("local", "continuous", "calculated")
-    held = ("local", "discrete", "calculated")
     full = 100.0 if model.input_unit == "%" else None
-    add(model.input_name, ("input", "continuous", None), "{u}", "command, held over a communication step",
-        None if full is None else -full, full, full or 1.0, 0.0)  # fmt: skip
     sensor = tuple(p.name for e in model.structure.effects if e.slot == "sensor" for p in e.parameters)
-    add("position", output, "{x}", "position of the link", nominal=1.0, initially_from=("position_start",))
-    add("velocity", output, "{x}/s", "velocity of the link", nominal=1.0, initially_from=("velocity_start",))
-    add("position_measured", output, "{x}", "what the position sensor reads, not quantised", nominal=1.0,
-        initially_from=("position_start", *sensor))  # fmt: skip
-
-    for p in model.structure.parameters:
-        add(p.name, parameter, p.unit, p.meaning, _bound(p.lower), _bound(p.upper), abs(p.start) or 1.0,
-            float(model.values[p.name]))  # fmt: skip
+    least = None if full is None else -full
+    found = [
+        Variable(
+            model.input_name, "input", "continuous", None, "{u}", "command, held over a communication step",
+            least, full, full or 1.0, 0.0,
+        ),
+        Variable(
+            "position", *output, "{x}", "position of the link", nominal=1.0, initially_from=("position_start",)
+        ),
+        Variable(
+            "velocity", *output, "{x}/s", "velocity of the link", nominal=1.0, initially_from=("velocity_start",)
+        ),
+        Variable(
+            "position_measured", *output, "{x}", "what the position sensor reads, not quantised", nominal=1.0,
+            initially_from=("position_start", *sensor),
+        ),
+    ]  # fmt: skip
+    found += [
+        Variable(
+            p.name, *parameter, p.unit, p.meaning, _bound(p.lower), _bound(p.upper), abs(p.start) or 1.0,
+            float(model.values[p.name]),
+        )
+        for p in model.structure.parameters
+    ]  # fmt: skip
     for name in known_read(model):
         unit, meaning = KNOWN[name]
-        add(name, parameter, unit, meaning, nominal=1.0, start=float(model.known.get(name, 0.0)))
-    add("position_start", fixed, "{x}", "position of the link at the start", nominal=1.0, start=0.0)
-    add("velocity_start", fixed, "{x}/s", "velocity of motor and link at the start", nominal=1.0, start=0.0)
-
+        found.append(Variable(name, *parameter, unit, meaning, nominal=1.0, start=float(model.known.get(name, 0.0))))
+    found += [
+        Variable("position_start", *fixed, "{x}", "position of the link at the start", nominal=1.0, start=0.0),
+        Variable("velocity_start", *fixed, "{x}/s", "velocity of motor and link at the start", nominal=1.0, start=0.0),
+    ]
     if model.holds_moments:
         meaning = "time of the recording at the start: at its end what happened in it is over, at 0 it happens again"
-        add("time_start", fixed, "s", meaning, nominal=1.0, start=model.time_start)
-
+        found.append(Variable("time_start", *fixed, "s", meaning, nominal=1.0, start=model.time_start))
     for name, (unit, meaning) in zip(STATE_NAMES, STATES.values(), strict=True):
         if name not in OUTPUTS:
             origin = ("velocity_start",) if name == "motor_velocity" else ()
             if name == "time_since_start" and model.holds_moments:
                 origin = ("time_start",)
             usual = (full or 1.0) if name == "lag" else _USUAL.get(name)
-            add(name, local, unit, meaning, nominal=usual, initially_from=origin)
-    capacity = delay_capacity(model)
-    if capacity:
-        add("acting_command", held, "{u}", "command that acts, after the dead time")
-        add("delay_count", held, "1", "number of commands that are on their way")
-    for i in range(1, capacity + 1):
-        add(f"delay_time[{i}]", held, "s", f"time since the start at which command {i} on its way was given")
-    for i in range(1, capacity + 1):
-        add(f"delay_value[{i}]", held, "{u}", f"command {i} on its way")
-    return tuple(found)
+            found.append(Variable(name, *local, unit, meaning, nominal=usual, initially_from=origin))
+    found += _delay_line(delay_capacity(model))
+    return numbered(found, model.axis_unit, model.input_unit)
+
+
+def numbered(found: Sequence[Variable], axis_unit: str, input_unit: str) -> tuple[Variable, ...]:
+    """The variables with their references, and with the units of axis and input put into theirs."""
+    return tuple(replace(v, reference=i, unit=v.unit.format(x=axis_unit, u=input_unit)) for i, v in enumerate(found))
+
+
+def _delay_line(capacity: int) -> list[Variable]:
+    """The commands that are on their way behind a delay, as many as the line holds."""
+    held = ("local", "discrete", "calculated")
+    if not capacity:
+        return []
+    line = [
+        Variable("acting_command", *held, "{u}", "command that acts, after the dead time"),
+        Variable("delay_count", *held, "1", "number of commands that are on their way"),
+    ]
+    numbers = range(1, capacity + 1)
+    meaning = "time since the start at which command {} on its way was given"
+    line += [Variable(f"delay_time[{i}]", *held, "s", meaning.format(i)) for i in numbers]
+    return line + [Variable(f"delay_value[{i}]", *held, "{u}", f"command {i} on its way") for i in numbers]
 
 
 def parameters_text(model: Model) -> str:
