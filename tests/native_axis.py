@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -110,3 +111,20 @@ def abuse(folder: Path, fmi: int) -> subprocess.CompletedProcess[str]:
     subprocess.run(["gcc", *flags, "-o", "abuse", str(source), "-lm"], cwd=folder, check=True)
     (folder / "misread").mkdir()
     return subprocess.run(["./abuse", folder.as_uri()], cwd=folder, capture_output=True, text=True)
+
+
+def has_thread_sanitizer(folder: Path) -> bool:
+    """Whether the local compiler builds with the thread sanitizer, and what it builds runs here."""
+    if shutil.which("gcc") is None:
+        return False
+    (folder / "nothing.c").write_text("int main(void) { return 0; }\n")
+    built = subprocess.run(["gcc", "-fsanitize=thread", "-o", "nothing", "nothing.c"], cwd=folder, capture_output=True)
+    return built.returncode == 0 and subprocess.run(["./nothing"], cwd=folder, capture_output=True).returncode == 0
+
+
+def in_two_threads(folder: Path, fmi: int) -> subprocess.CompletedProcess[str]:
+    """What comes of stepping two instances of the exported sources in a folder in two threads, under the sanitizer."""
+    flags = ["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Werror", f"-DFMI={fmi}", "-I.", "-fsanitize=thread"]
+    source = Path(__file__).parent / "native" / "threads.c"
+    subprocess.run(["gcc", *flags, "-o", "threads", str(source), "-pthread", "-lm"], cwd=folder, check=True)
+    return subprocess.run(["./threads", folder.as_uri()], cwd=folder, capture_output=True, text=True)

@@ -16,7 +16,18 @@ import pytest
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
-from native_axis import EVERYTHING, NAMES, PERIOD, RIGID, abuse, by_kernel, command, model_of
+from native_axis import (
+    EVERYTHING,
+    NAMES,
+    PERIOD,
+    RIGID,
+    abuse,
+    by_kernel,
+    command,
+    has_thread_sanitizer,
+    in_two_threads,
+    model_of,
+)
 
 from twin.effects.catalogue import BASE
 from twin.errors import BadInput
@@ -327,6 +338,33 @@ def test_abuse_under_sanitizers(tmp_path: Path, structure: Structure, fmi: int) 
     done = abuse(tmp_path, fmi)
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
     assert len(done.stdout.split()) == 2
+
+
+@pytest.mark.parametrize(("structure", "fmi"), [(EVERYTHING, 2), (TEETH, 3)], ids=["all-2", "teeth-3"])
+def test_two_instances_in_two_threads_do_not_meet(tmp_path: Path, structure: Structure, fmi: int) -> None:
+    """No data race by the thread sanitizer, and the same motion in both."""
+    if not has_thread_sanitizer(tmp_path):
+        pytest.skip("no compiler with a thread sanitizer is installed")
+    model = model_of(structure)
+    write_sources(model, fmi, tmp_path)
+    (tmp_path / "parameters.txt").write_text(parameters_text(model))
+    done = in_two_threads(tmp_path, fmi)
+    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
+
+
+def test_the_thread_sanitizer_sees_a_state_that_instances_share(tmp_path: Path) -> None:
+    """The same sources with one variable of the plumbing made common to all instances."""
+    if not has_thread_sanitizer(tmp_path):
+        pytest.skip("no compiler with a thread sanitizer is installed")
+    model = model_of(TEETH)
+    write_sources(model, 3, tmp_path)
+    (tmp_path / "parameters.txt").write_text(parameters_text(model))
+    plumbing = (tmp_path / "axis.h").read_text()
+    shared = plumbing.replace("        double left;\n", "        static double left;\n        left = span;\n", 1)
+    assert shared != plumbing
+    (tmp_path / "axis.h").write_text(shared)
+    done = in_two_threads(tmp_path, 3)
+    assert done.returncode != 0 and "data race" in done.stderr
 
 
 ALONE = {
