@@ -134,6 +134,20 @@ def test_a_load_that_is_heavier_lets_the_gap_alone() -> None:
     assert [c.parameter for c in found] == [INERTIA] and found[0].interval[0] < 2.0 < found[0].interval[1]
 
 
+def test_an_interval_is_wider_where_the_rest_scatters_more_than_it_should() -> None:
+    model = replace(model_of(), notes={}, intervals={})
+    grown = model.with_values({"viscous_friction": 1.5 * model.values["viscous_friction"]})
+    others = ("dead_band_forward", "dead_band_reverse", "input_gain")
+    off = {
+        n: model.values[n] + s * 2.5 * math.sqrt(2.0) * model.std(n) for n, s in zip(others, (1, -1, 1), strict=True)
+    }
+    (calm,), (rough,) = (compare_models(model, m).found for m in (grown, grown.with_values(off)))
+    width = [math.log(c.interval[1] / c.interval[0]) for c in (calm, rough)]
+    # Three of the four that did not change are 2.5 standard errors off: 3 * 2.5^2 / 4.
+    assert rough.parameter == calm.parameter == "viscous_friction"
+    assert width[1] / width[0] == pytest.approx(math.sqrt(0.75) * 2.5, rel=0.02)
+
+
 def test_an_angle_is_compared_around_the_circle() -> None:
     model = replace(model_of("gravity"), notes={})
     turned = model.with_values({"gravity_angle": model.values["gravity_angle"] + 2 * math.pi})

@@ -7,6 +7,10 @@ covariances. A hypothesis names a few directions A in which the axis may have ch
 unchanged axes, over all directions that are tried (Bonferroni). The set with the best sum of chi-square and this
 penalty is taken.
 
+The sizes hold for axes in which all else is as it was. Where that leaves more than chance does, the fits err by more
+than their covariances say. The standard errors then grow by the root of chi-square over its degrees of freedom (Birge,
+Phys. Rev. 40, 1932).
+
 A direction is one parameter, or what one cause does to several. For example, all torques are divided by the inertia: an
 inertia that grows by r divides them all by r.
 
@@ -273,8 +277,11 @@ def compare_models(before: Model, after: Model, false_alarms: float = FALSE_ALAR
         rivals[INERTIA] += _instead(INERTIA, chosen, drive, (d, information, directions))
     left, sizes, known = _left(d, information, _columns(directions, chosen, len(d)))
     by_name = dict(zip(names, coordinates, strict=True))
+    wider = math.sqrt(max(1.0, left / max(len(d) - len(chosen), 1)))
     found = [
-        _change(name, (float(sizes[i]), math.sqrt(known[i, i])), by_name, after, rivals[name], INERTIA in chosen)
+        _change(
+            name, (float(sizes[i]), wider * math.sqrt(known[i, i])), by_name, after, rivals[name], INERTIA in chosen
+        )
         for i, name in enumerate(chosen)
     ]
     chi_square = float(d @ information @ d)
