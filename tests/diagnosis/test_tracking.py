@@ -56,6 +56,17 @@ def test_a_step_is_seen_within_two_recordings_and_where_it_was() -> None:
         assert change.interval[0] < 1.3 * model.values["viscous_friction"] < change.interval[1]
 
 
+def test_a_change_is_judged_by_all_that_was_recorded_since() -> None:
+    rng = np.random.default_rng(15)
+    model = known()
+    fits = [fit_of(model, rng, viscous_friction=1.05 if i >= 5 else 1.0) for i in range(25)]
+    late = track(model, fits).alarms[0]
+    early = track(model, fits[: late.seen + 1]).alarms[0]
+    widths = [a.changes[0].interval[1] - a.changes[0].interval[0] for a in (early, late)]
+    assert late.seen <= 7 and late.since == 5 and widths[1] < 0.7 * widths[0]
+    assert late.changes[0].interval[0] < 1.05 * model.values["viscous_friction"] < late.changes[0].interval[1]
+
+
 def test_what_the_axis_has_become_is_the_new_normal() -> None:
     rng = np.random.default_rng(13)
     model = known()

@@ -10,7 +10,8 @@ that the rate holds whatever the errors of the fits have in common.
 
 Repeated recordings of a real machine scatter by more than their own errors say. That excess is estimated from the
 differences of neighbouring fits, which a step touches once, and added to each fit. It takes some recordings to be
-known: the history is judged anew with each recording that is added.
+known: the history is judged anew with each recording that is added. So are the moment, the size and the name of a
+change that was seen, by all recordings up to the next one: the first after it may know little.
 """
 
 from __future__ import annotations
@@ -145,6 +146,19 @@ def _step(baseline: Model, fits: Sequence[Model], false_alarms: float) -> tuple[
     return None if best is None else (best[1], best[2])
 
 
+def _judged_by_all(model: Model, fits: Sequence[Model], alarms: Sequence[Alarm], false_alarms: float) -> list[Alarm]:
+    """The alarms with the moment and the changes that the recordings up to the next alarm speak for."""
+    found: list[Alarm] = []
+    baseline, begin = model, 0
+    for i, alarm in enumerate(alarms):
+        end = alarms[i + 1].since if i + 1 < len(alarms) else len(fits)
+        step = _step(baseline, fits[begin:end], false_alarms)
+        since, changes = (alarm.since, alarm.changes) if step is None else (begin + step[0], step[1])
+        found.append(Alarm(since, max(alarm.seen, since), changes))
+        baseline, begin = pool(fits[since:end]), end
+    return found
+
+
 def track(model: Model, fits: Sequence[Model], names: Sequence[str] = (), false_alarms: float = FALSE_ALARMS) -> Track:
     """Follow an axis through fits of recordings in the order in which they were made.
 
@@ -181,7 +195,8 @@ def track(model: Model, fits: Sequence[Model], names: Sequence[str] = (), false_
             alarms.append(Alarm(since, last, step[1]))
             # From here on the axis is what it has become.
             baseline, begin = pool(recent[step[0] :]), last + 1
-    latest = pool([baseline, *widened[begin:]])
+    alarms = _judged_by_all(model, widened, alarms, false_alarms)
+    latest = pool(widened[alarms[-1].since :] if alarms else [model, *widened])
     return Track(model, shown, tuple(fits), standardised, tuple(alarms), latest)
 
 
