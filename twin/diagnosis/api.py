@@ -95,15 +95,15 @@ def _against_given(found: Diagnosis, given: Model, closed_loop: bool) -> Diagnos
         f"The given model as it is runs freely with an error of {fits[worst].rmse:.3g} {unit}, "
         f"{fits[worst].nrmse_percent:.3g} % of the range{f', in {worst}' if len(fits) > 1 else ''}."
     )
-    found = replace(found, given_fit=fits, remarks=(said, *found.remarks))
+    rest = "All else is said of its structure, with values fitted to these recordings."
+    found = replace(found, given_fit=fits, since=(said, rest))
     if given.structure.named != found.before.structure.named or not given.fitted:
         return found
     later = fit_again(given, found.recordings)
     if not later.fitted:
         return found
     changes = compare_models(given, later)
-    remarks = (said, changes_sentence(changes), *found.remarks[1:])
-    return replace(found, changes=changes.found, remarks=remarks)
+    return replace(found, changes=changes.found, since=(said, changes_sentence(changes), rest))
 
 
 def fit_again(model: Model, recordings: Recording | Sequence[Recording]) -> Model:

@@ -133,6 +133,7 @@ class Diagnosis(Tabular):
     seconds: Mapping[str, float] = field(default_factory=dict)  # per stage
     changes: tuple[Change, ...] = ()  # from a model that was given to what this recording asks for
     given_fit: Mapping[str, Fitness] = field(default_factory=dict)  # of that model as it is, by recording
+    since: tuple[str, ...] = ()  # sentences on that model: how it runs as it is, and what changed since it was made
     not_borne_out: tuple[NotBorneOut, ...] = ()  # names that were tried and failed
     adequacy: Adequacy = field(default_factory=Adequacy)
 
@@ -152,7 +153,8 @@ class Diagnosis(Tabular):
             errors = [f"{number(runs[w].nrmse_percent)} %" for w in ("before", "after") if w in runs]
             notes.append(f"free run, {role}: {' before, '.join(errors)} after, of the recorded range")
         columns = ("effect", "station", "probability", "parameters")
-        return DisplayTable(f"diagnosis: {self.verdict.replace('_', ' ')}", columns, rows, [*notes, *self.remarks])
+        said = [*self.since, *notes, *self.remarks]
+        return DisplayTable(f"diagnosis: {self.verdict.replace('_', ' ')}", columns, rows, said)
 
 
 def _fitness(fitness: Fitness) -> dict[str, Any]:
@@ -196,7 +198,7 @@ def to_json(diagnosis: Diagnosis, experiment_file: str = "") -> dict[str, Any]:
             for u in d.undecided
         ],
         "not_borne_out": [{"id": n.id, "reason": n.reason, "figure": n.figure} for n in d.not_borne_out],
-        "remarks": list(d.remarks),
+        "remarks": [*d.since, *d.remarks],
         "changes": change.to_json(d.changes),
         "given_model": {name: _fitness(f) for name, f in d.given_fit.items()},
         "seconds": dict(d.seconds),

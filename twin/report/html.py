@@ -145,7 +145,7 @@ def _fit(d: Diagnosis, role: str, when: str) -> Fitness:
 
 def _lead(story: Story) -> str:
     d = story.diagnosis
-    said = [*filter(None, (d.adequacy.says, wording.fit_sentence(d))), *d.remarks, *story.remarks]
+    said = [*d.since, *filter(None, (d.adequacy.says, wording.fit_sentence(d))), *d.remarks, *story.remarks]
     said += story.failures.values()
     return "".join(_said(s, "lead" if i == 0 else "remark") for i, s in enumerate(said))
 

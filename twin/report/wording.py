@@ -148,7 +148,7 @@ def still_missing(diagnosis: Diagnosis, stretches: Sequence[Segment]) -> str:
 def sentences(diagnosis: Diagnosis, tracking: Tracking | None = None) -> tuple[str, ...]:
     """What somebody who reads only three sentences should know."""
     found = [*(f.says for f in diagnosis.findings), *nameless(diagnosis)]
-    said = [" ".join([headline(diagnosis), *found]), fit_sentence(diagnosis)]
+    said = [*diagnosis.since, " ".join([headline(diagnosis), *found]), fit_sentence(diagnosis)]
     if diagnosis.adequacy.says:
         said.append(diagnosis.adequacy.says)
     if tracking is not None:
