@@ -112,7 +112,7 @@ def fit_again(model: Model, recordings: Recording | Sequence[Recording]) -> Mode
     A likelihood behind a gap has several maxima. The one near the model's own values is taken, unless another is
     likelier by the gain that a new effect would need. Otherwise parameters would seem to change from one maximum to
     another. Where the search went astray, its noise is so large that the filter forgets at once, and the model's values
-    need not move. So they are also followed at the model's own noise first.
+    need not move. So they are also followed at the model's own noise, and from there at the search's.
 
     Raises
     ------
@@ -124,11 +124,13 @@ def fit_again(model: Model, recordings: Recording | Sequence[Recording]) -> Mode
         check_units(r, "the model", model.input_unit, model.axis_unit)
     told = [as_told(r, model.known) for r in given]
     problem, likeliest = maximum_likelihood.likeliest(told, model.structure, estimate.held_parameters(model))
-    starts = [model.values]
+    at_found = problem.at(likeliest.process_noise)
+    close = [local_optima.refit(at_found, model.structure, model.values)]
     if model.torque_density > 0.0 and model.reading_std > 0.0:
         own = problem.at(model.torque_density / model.reading_std**2)
-        starts.append(local_optima.refit(own, model.structure, model.values).values)
-    near = local_optima.best_refit(problem.at(likeliest.process_noise), model.structure, starts)
+        followed = local_optima.refit(own, model.structure, model.values)
+        close += [followed, local_optima.refit(at_found, model.structure, followed.values)]
+    near = min(close, key=lambda p: p.deviance)
     farther = model_comparison.criterion_difference(likeliest, near) > thresholds.MIN_GAIN
     return maximum_likelihood.with_intervals(problem, likeliest if farther else near, told)
 
