@@ -84,16 +84,18 @@ def _row(name: str, shares: FloatArray) -> str:
     return f"{name:22}" + "".join(f"{100.0 * v:20.3f}" for v in shares)
 
 
-def study(units: int, siblings: int, seconds: tuple[float, float], spread: float, seed: int) -> tuple[str, Prior]:
-    """The table of the errors, and the prior."""
+def study(
+    units: int, siblings: int, seconds: tuple[float, float, float], spread: float, seed: int
+) -> tuple[str, Prior]:
+    """The table of the errors, and the prior; `seconds` of the short and the long recording, and of each sibling's."""
     rng = np.random.default_rng(seed)
     base = circuit_rig.draw_rig(rng)
-    prior = prior_of({f"{i}": fit(sibling(base, spread, rng), seconds[1], rng) for i in range(siblings)})
+    prior = prior_of({f"{i}": fit(sibling(base, spread, rng), seconds[2], rng) for i in range(siblings)})
     found: dict[str, list[list[float]]] = {name: [] for name in ROWS}
     told: dict[str, list[list[float]]] = {name: [] for name in ROWS}
     for _ in range(units):
         rig = sibling(base, spread, rng)
-        short, long = (fit(rig, duration, rng) for duration in seconds)
+        short, long = (fit(rig, duration, rng) for duration in seconds[:2])
         for name, model in zip(ROWS, (short, with_prior(short, prior), long), strict=True):
             found[name].append(errors(model, rig))
             told[name].append(relative_stds(model, rig))
@@ -119,11 +121,13 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--siblings", type=int, default=20)
     parser.add_argument("--short", type=float, default=10.0, help="s")
     parser.add_argument("--long", type=float, default=60.0, help="s")
+    parser.add_argument("--sibling", type=float, default=20.0, help="s, of each sibling's recording")
     parser.add_argument("--spread", type=float, default=0.03, help="of the siblings' numbers, as a share of them")
     parser.add_argument("--seed", type=int, default=62)
     given = parser.parse_args(arguments)
     estimate.compile_kernel(lambda sentence, share: None)
-    print(study(given.units, given.siblings, (given.short, given.long), given.spread, given.seed)[0])
+    seconds = (given.short, given.long, given.sibling)
+    print(study(given.units, given.siblings, seconds, given.spread, given.seed)[0])
 
 
 if __name__ == "__main__":
