@@ -5,8 +5,8 @@
 Each command runs twice to its end, which says how long it takes and what it writes. Then it is killed again and again,
 at a moment drawn over the second half of that time and more often near its end, where it publishes. Every second kill
 finds the result of a whole run there, every other one nothing. After it the result is whole, with the bytes in which
-both whole runs agree, or it is absent. Of a fleet, which goes on later, that holds for each file. At the end the
-command runs once more, and the folder holds what one run writes and nothing else.
+both whole runs agree, or it is absent. Of a fleet and a track, which go on later, that holds for each file. At the end
+the command runs once more, and the folder holds what one run writes and nothing else.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ LENGTH = 6.0
 
 @dataclass(frozen=True)
 class Command:
-    """A command, and the name of the file or folder that it writes; a fleet goes on where it was stopped."""
+    """A command, and the name of the file or folder that it writes; some go on where they were stopped."""
 
     name: str
     arguments: Sequence[str]
@@ -45,7 +45,7 @@ COMMANDS = (
     Command("identify", ("identify", "log.csv", "--out", "m.toml", "--force"), "m.toml"),
     Command("export", ("export", "model.toml", "--out", "arm.fmu", "--force"), "arm.fmu"),
     Command("update", ("update", "old.fmu", "--from", "model.toml"), "old.fmu"),
-    Command("track", ("track", "model.toml", "log.csv", "--out", "history", "--force"), "history"),
+    Command("track", ("track", "model.toml", "log.csv", "--out", "history", "--force"), "history", goes_on=True),
     Command("fleet", ("fleet", "fleet.csv", "--out", "all", "--force"), "all", goes_on=True),
     Command("run", ("run", "log.csv", "--out", "out", "--force"), "out"),
 )

@@ -2,6 +2,7 @@
 
 python scripts/long_recording.py                 # twin identify on 4, 15 and 60 minutes
 python scripts/long_recording.py --minutes 60 --command diagnose
+python scripts/long_recording.py --runs 104 --seconds 2      # many short recordings together
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ VALUES = {
 RIG = Path(__file__).resolve().parents[1] / "models" / "shipped" / "rig.toml"
 
 
-def record(folder: Path, minutes: float) -> Path:
+def record(folder: Path, minutes: float, seed: int = 0) -> Path:
     """A recording of steps under a noisy drive, for the shipped rig file."""
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     count = int(60.0 * minutes / PERIOD)
     structure = Structure.of([*BASE, "tooth_compliance"])
     duty = np.round(np.repeat(rng.uniform(-40.0, 40.0, count // 500 + 1), 500)[:count], 2)
@@ -43,7 +44,7 @@ def record(folder: Path, minutes: float) -> Path:
     )  # fmt: skip
     start = kernel.start_state(0.0, 0.0, 0.0)
     position = kernel.predict(drive, kernel.vector(structure, VALUES), start).reading
-    path = folder / "recording.csv"
+    path = folder / f"recording{seed}.csv"
     with path.open("w", encoding="utf-8") as out:
         out.write("t,duty,counts\n")
         counts = np.round(position * COUNTS / (2.0 * np.pi)).astype(int)
@@ -52,36 +53,53 @@ def record(folder: Path, minutes: float) -> Path:
     return path
 
 
+def measure(name: str, paths: Sequence[Path], label: str) -> None:
+    """Print processor time, peak memory and the worst error of the base parameters of a command, run as a child."""
+    folder = paths[0].parent
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    code = (
+        "import resource, sys; from twin.cli.main import main; done = main(sys.argv[1:]); "
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024); sys.exit(done)"
+    )
+    command = [sys.executable, "-c", code, name, *map(str, paths), "--rig", str(RIG)]
+    command += ["--out", f"{folder}/model.toml", "--quiet"]
+    done = subprocess.run(command, env={**os.environ, "OMP_NUM_THREADS": "1"}, capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(f"twin {name} ended with {done.returncode}: {done.stderr}")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    found = fitted_model.read(folder / "model.toml").values
+    worst = max((abs(found[n] / v - 1.0), n) for n, v in VALUES.items() if n in found)
+    seconds = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+    print(
+        f"twin {name}, {label}: {seconds:6.0f} s of processor, peak memory {done.stdout.split()[-1]:>5} MB; "
+        f"furthest from its truth: {worst[1]}, {100.0 * worst[0]:.2g} %",
+        flush=True,
+    )
+
+
 def bench_long(minutes: Sequence[float] = (4.0, 15.0, 60.0), name: str = "identify") -> None:
-    """Print samples, processor time, peak memory and the worst error of the base parameters; children one by one."""
+    """One recording of each length."""
     for length in minutes:
         with tempfile.TemporaryDirectory() as folder:
             path = record(Path(folder), length)
-            before = resource.getrusage(resource.RUSAGE_CHILDREN)
-            code = (
-                "import resource, sys; from twin.cli.main import main; done = main(sys.argv[1:]); "
-                "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024); sys.exit(done)"
-            )
-            command = [sys.executable, "-c", code, name, str(path), "--rig", str(RIG)]
-            command += ["--out", f"{folder}/model.toml", "--quiet"]
-            done = subprocess.run(
-                command, env={**os.environ, "OMP_NUM_THREADS": "1"}, check=True, capture_output=True, text=True
-            )
-            after = resource.getrusage(resource.RUSAGE_CHILDREN)
-            found = fitted_model.read(Path(folder) / "model.toml").values
-            worst = max((abs(found[n] / v - 1.0), n) for n, v in VALUES.items())
-        seconds = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
-        samples = int(60.0 * length / PERIOD)
-        print(
-            f"twin {name}, {length:3.0f} min, {samples:8d} samples: {seconds:6.0f} s of processor, peak memory "
-            f"{done.stdout.split()[-1]:>5} MB; furthest from its truth: {worst[1]}, {100.0 * worst[0]:.2g} %",
-            flush=True,
-        )
+            measure(name, [path], f"{length:3.0f} min, {int(60.0 * length / PERIOD):8d} samples")
+
+
+def bench_many(runs: int, seconds: float, name: str = "identify") -> None:
+    """So many recordings of so many seconds, fitted together."""
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [record(Path(folder), seconds / 60.0, seed) for seed in range(runs)]
+        measure(name, paths, f"{runs} recordings of {seconds:g} s")
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--minutes", type=float, action="append", help="may be given more than once")
+    parser.add_argument("--runs", type=int, help="so many recordings together, of --seconds each")
+    parser.add_argument("--seconds", type=float, default=2.0)
     parser.add_argument("--command", choices=("identify", "diagnose"), default="identify")
     given = parser.parse_args()
-    bench_long(given.minutes or (4.0, 15.0, 60.0), given.command)
+    if given.runs:
+        bench_many(given.runs, given.seconds, given.command)
+    else:
+        bench_long(given.minutes or (4.0, 15.0, 60.0), given.command)

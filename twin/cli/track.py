@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from twin.diagnosis.tracking import Forecast, Track
     from twin.model.fitted_model import Model
 
+#: What is written beside the fits.
+_RESULTS = ("track.json", "track.html")
 #: How often a folder is looked at for new recordings, s.
 POLL = 2.0
 #: A file that was written to later than this is not read yet, s.
@@ -128,7 +130,7 @@ def _judge(args: argparse.Namespace, model: Model, tell: Progress) -> None:
     from twin.diagnosis.tracking import forecast, track
     from twin.display.numbers import time_left
     from twin.fmi import evidence, python_fmu
-    from twin.io.files import json_text, put
+    from twin.io.files import json_text, new_folder
     from twin.report.trend import trend_page
 
     logs = _logs(args.log)
@@ -146,9 +148,10 @@ def _judge(args: argparse.Namespace, model: Model, tell: Progress) -> None:
     forecasts = [forecast(history, name, limit) for name, limit in limits.items()] if len(fits) > 2 else []
     answer, said = _json(history, forecasts, args), _sentences(history, forecasts)
     if args.out is not None:
-        args.out.mkdir(parents=True, exist_ok=True)
-        put(args.out / "track.json", json_text(answer))
-        put(args.out / "track.html", trend_page(history, said))
+        # Both at once: a page beside the figures of another run would be wrong. The fits stay.
+        with new_folder(args.out, _RESULTS, force=True) as draft:
+            (draft / _RESULTS[0]).write_text(json_text(answer), encoding="utf-8")
+            (draft / _RESULTS[1]).write_text(trend_page(history, said), encoding="utf-8")
     if args.update is not None:
         python_fmu.update(args.update, model.with_values(history.latest.values))
         said.append(f"{args.update} holds the parameters since the last change.")

@@ -75,7 +75,13 @@ def sentences(errors: Sequence[FreeRunError], model: Model, unit: str) -> list[s
         f"free run of {e.recording}: error {e.rmse:.3g} {unit}, {e.nrmse_percent:.3g} % of the range" for e in errors
     ]
     lacking = [e for e in errors if e.depends_on]
-    if best_over.LACKING in model.provenance:
+    if model.provenance.get(best_over.LACKING) == best_over.FOLLOWS:
+        said.append(
+            "warning: the likeliest values follow each reading from the last one and say little about the axis. The "
+            "readings are too coarse, or the input does not drive the output, or physics is missing. These are the "
+            "values of the best free run instead: look at its error."
+        )
+    elif best_over.LACKING in model.provenance:
         said.append(
             "warning: the model lacks physics, and its likeliest values make up for that. These are the values of the "
             "best free run instead. Run twin diagnose to find what is missing."

@@ -13,6 +13,7 @@ from twin.effects.end_stop import NOWHERE
 from twin.errors import BadInput
 from twin.estimation import horizon as best_over
 from twin.estimation import maximum_likelihood, preparation, two_stage
+from twin.estimation.fit import Fit
 from twin.io.api import as_list
 from twin.io.position_loop import own_loop
 from twin.io.recording import Recording, to_fit
@@ -162,13 +163,23 @@ def identify(
 
 
 def _joint(recordings: Sequence[Recording], structure: Structure, tell: Progress) -> Model:
-    """The likeliest model; where that makes up for physics that it lacks, the one that runs freely best."""
+    """The likeliest model; where its values say little about the axis, the one that runs freely best."""
     problem, likeliest = maximum_likelihood.likeliest(recordings, structure, progress=tell)
-    if best_over.lacks_physics(problem, likeliest):
+    if best_over.lacks_physics(problem, likeliest) or best_over.follows_readings(problem, likeliest):
         tell("the best free run", 0.85)
-        return best_over.in_place_of_likeliest(problem, likeliest, to_fit(recordings))
+        train = to_fit(recordings)
+        return best_over.in_place_of_likeliest(problem, likeliest, train, _steady_values(likeliest, train))
     tell("profiles of the likelihood", 0.85)
     return maximum_likelihood.with_intervals(problem, likeliest, recordings)
+
+
+def _steady_values(likeliest: Fit, recordings: Sequence[Recording]) -> list[dict[str, float]]:
+    """Gain and frictions of the two-stage estimate, where there is one: it needs no filter."""
+    simple = two_stage.two_stage(recordings)
+    if not simple.ok:
+        return []
+    found = two_stage.to_model(simple, recordings)
+    return [{n: found.values[n] for n in found.fitted if n in likeliest.free}]
 
 
 def _check_request(recordings: Sequence[Recording], method: str, horizon: float | None, closed_loop: bool) -> None:

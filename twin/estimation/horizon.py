@@ -39,6 +39,7 @@ _WHITE = 2.0
 #: Key of a model's provenance where its likeliest values only make up for missing physics, and what it says there.
 LACKING = "lacking"
 _LACKS = "the likeliest values make up for missing physics"
+FOLLOWS = "the likeliest values follow each reading from the last one"
 #: What a model's provenance calls this horizon.
 WHOLE = "whole recordings"
 _NO_GAP = "not determined: with the physics that this model has, the recording is followed better without a gap"
@@ -136,6 +137,13 @@ def lacks_physics(problem: FitProblem, likeliest: Fit) -> bool:
     return bent or optimizer.is_misspecified(problem, likeliest)
 
 
+def follows_readings(problem: FitProblem, likeliest: Fit) -> bool:
+    """Whether the filter's memory is the shortest allowed: each reading is then told by the last ones, whatever the
+    parameters are. So it is where readings are coarse and rounded alike, and where the input does not drive the output.
+    """
+    return likeliest.process_noise > 0.5 * filter_memory.largest_process_noise(problem.recordings)
+
+
 def free_run_fits(problem: FitProblem, likeliest: Fit, others: Sequence[Mapping[str, float]] = ()) -> list[HorizonFit]:
     """Fits over the whole recordings, the best first.
 
@@ -181,11 +189,17 @@ def to_model(problem: FitProblem, found: HorizonFit, recordings: Sequence[Record
     return _over(model, found, WHOLE)
 
 
-def in_place_of_likeliest(problem: FitProblem, likeliest: Fit, recordings: Sequence[Recording]) -> Model:
-    """The model with the values of the best free run, marked as one that lacks physics."""
-    best = best_with_known_gap(free_run_fits(problem, likeliest))
+def in_place_of_likeliest(
+    problem: FitProblem, likeliest: Fit, recordings: Sequence[Recording], others: Sequence[Mapping[str, float]] = ()
+) -> Model:
+    """The model with the values of the best free run, marked by why the likeliest are not taken.
+
+    `others` are values from which other searches begin.
+    """
+    best = best_with_known_gap(free_run_fits(problem, likeliest, others))
     found = to_model(problem, best, recordings)
-    return replace(found, provenance={**found.provenance, LACKING: _LACKS})
+    why = _LACKS if lacks_physics(problem, likeliest) else FOLLOWS
+    return replace(found, provenance={**found.provenance, LACKING: why})
 
 
 def _over(model: Model, found: HorizonFit, says: str) -> Model:

@@ -208,6 +208,7 @@ def likeliest(
     _check_judged(point, train)
     tell("leaving local optima", 0.75)
     problem, point = multistart.leave_local_optima(problem, point)
+    problem, point = multistart.begin_anew(problem, point, begun[0].values)
     if searched == train:
         return problem.holding(held), _with_idle_limit(point, train)
     tell("all readings", 0.8)

@@ -65,6 +65,8 @@ _SHORTEST_MEMORY, _MAX_LENGTHENINGS, _RINGING_TIME = 0.007, 12, 0.05
 _EXCERPTS, _EXCERPT_LENGTH, _LONG_EXCERPT_LENGTH = 5, 4.0, 12.0
 #: Where in the gap a motor may start, and how many s of a recording at least, after motor and link have met, show it.
 _CONTACT_GRID, _CONTACT_DURATION, _CONTACT_MARGIN = tuple(np.linspace(-1.0, 1.0, 9).tolist()), 3.0, 1.0
+#: s, of the filter that a fit is begun anew with: it follows the model, and readings hardly lead it.
+_LONG_MEMORY = 1.0
 _DEAD_BANDS = ("dead_band_forward", "dead_band_reverse")
 _RIDGE_FOLLOWERS = ("input_gain", "viscous_friction")
 #: By which powers of the gap the shares go with it, so that the motor crosses it in the same time.
@@ -358,3 +360,20 @@ def leave_local_optima(problem: FitProblem, point: Fit) -> tuple[FitProblem, Fit
             problem.at(point.process_noise), point.structure, other.values, point.free
         )
     return refit_with_contact_mask(problem, point)
+
+
+def begin_anew(problem: FitProblem, point: Fit, values: Mapping[str, float]) -> tuple[FitProblem, Fit]:
+    """The fit once more from the other end: from coarse values, with a filter whose memory is long.
+
+    The way to a fit lengthens a short memory for as long as that pays. Where readings scatter widely, each step of it
+    may pay nothing, although a long memory is by far the likeliest. Both ends are compared by the likelihood of the
+    same readings. Where the model is wrong, its optima say little about the axis, and none is looked for.
+    """
+    if optimizer.is_misspecified(problem, point):
+        return problem, point
+    far = problem.at(filter_memory.process_noise_of(problem.recordings[0], _LONG_MEMORY))
+    begin = preparation.complete_values(point.structure, values)
+    other = optimizer.fit_with_process_noise(far, point.structure, begin, point.free)
+    if other.deviance > point.deviance - point.overdispersion:
+        return problem, point
+    return leave_local_optima(problem, other)
