@@ -103,6 +103,7 @@ def _json(history: Track, forecasts: Sequence[Forecast], args: argparse.Namespac
 
 
 def _sentences(history: Track, forecasts: Sequence[Forecast]) -> list[str]:
+    from twin.diagnosis.change import DRIVE
     from twin.display.numbers import capital, listed
 
     said = [f"{len(history.fits)} recordings."]
@@ -113,7 +114,8 @@ def _sentences(history: Track, forecasts: Sequence[Forecast]) -> list[str]:
         )
         rivals = sorted({r.replace("_", " ") for c in a.changes for r in c.rivals})
         if rivals:
-            said.append(f"These recordings cannot tell that from a change of the {listed(rivals)}.")
+            tells = " A known weight at the axis would." if DRIVE.replace("_", " ") in rivals else ""
+            said.append(f"These recordings cannot tell that from a change of the {listed(rivals)}.{tells}")
     if not history.alarms:
         said.append("Nothing has changed.")
     for f in forecasts:

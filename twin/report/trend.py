@@ -52,7 +52,7 @@ def trend_page(history: Track, said: Sequence[str]) -> str:
     charts = "".join(
         f"<section><h2>{escape(n.replace('_', ' ').capitalize())}</h2><figure>{_chart(history, n)}"
         "<figcaption>The line and its band: the model. Points: one recording each, with 95\u202f% intervals. "
-        "Shaded: since a change was seen.</figcaption></figure></section>"
+        "Shaded: since a change.</figcaption></figure></section>"
         for n in sorted(names, key=lambda n: -moved[n])
     )
     lead = "".join(f'<p class="lead">{escape(pretty(s))}</p>' for s in said)
