@@ -44,6 +44,19 @@ def test_candidates_that_a_linear_axis_has_not_are_not_tried() -> None:
     assert abs(found.last.values["input_gain"] - 0.02) < 1e-4
 
 
+def test_a_gap_as_wide_as_any_is_no_gap() -> None:
+    """It follows readings that are late, from an axis that has none."""
+    rigid, time = Structure.of(["inertia", "viscous_friction", "dead_band"]), 0.004 * np.arange(2000)
+    duty = steps(np.random.default_rng(1), len(time), 100, 40.0)
+    values = {"input_gain": 4.0, "viscous_friction": 8.0, "dead_band_forward": 3.0, "dead_band_reverse": 3.0}
+    y, _ = run(rigid, values, time, duty)
+    late = np.round(np.interp(time - 0.06, time, y) / 1e-3) * 1e-3
+    found = forward_selection.search(
+        [Recording("late", time, duty, late, "%", "rad", 1e-3)], Structure.of(BASE), {}, ()
+    )
+    assert found.first.structure == found.last.structure == rigid
+
+
 def test_an_elastic_joint_and_teeth_are_one_spring() -> None:
     """Where one takes the other's place it is as stiff, within its bounds."""
     joint = {"joint_frequency": 30.0, "joint_damping": 0.2}

@@ -339,9 +339,7 @@ def _choice_sentences(chosen: _Chosen, first: Structure, unit: str) -> list[str]
     said = [f"Tried, not confirmed: {EFFECTS[n.id].title}; {n.reason}." for n in chosen.failed]
     said += _unequal_dead_bands(last, unit)
     if "backlash" in first and "backlash" not in last.structure:
-        said.append(
-            "No gap shows: a model in which motor and link are one is more likely, so this one has no backlash."
-        )
+        said.append("No gap shows: in this model motor and link are one.")
     return said
 
 

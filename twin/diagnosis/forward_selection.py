@@ -190,10 +190,13 @@ def search(
     # What a model without the right physics cannot predict may be what is looked for.
     problem = contact_masking.without_contact_mask(polished)
     best = local_optima.refit(problem.at(local_optima.judging_process_noise(problem, fine)), first, fine.values)
+    if _is_gap_a_makeshift(best):
+        problem, best = _without_gap(problem, best)
+        first, fine = best.structure, best
     candidates = screening.testable_candidates(problem, candidates, first)
     ground = first
     if friction := _friction_for_dead_band(problem, best, candidates):
-        best, ground = friction, first.without("dead_band").with_("coulomb_friction")
+        best, ground = friction, ground.without("dead_band").with_("coulomb_friction")
     events.announce(events.Reached(problem, best))
     found = _search_from(problem, best, (), ground, candidates, tell)
     for this in _narrow_rounds(problem, found, best.process_noise):
@@ -239,11 +242,20 @@ def _without_idle_gap(found: SearchResult) -> tuple[FitProblem, Fit] | None:
     if known or "backlash" in structure or "backlash" not in last.structure:
         return None
     rigid = local_optima.refit(problem.at(last.process_noise), structure, last.values)
-    if model_comparison.criterion_difference(rigid, last) <= 0.0:
-        return None
-    # Motor and link that are one do not rattle.
+    return _without_gap(problem, last) if model_comparison.criterion_difference(rigid, last) > 0.0 else None
+
+
+def _is_gap_a_makeshift(point: Fit) -> bool:
+    """Whether the likeliest gap is the widest that is looked for: it then stands for other physics."""
+    widest = parameter_bounds.bounds_of("backlash_gap")[1]
+    return "backlash_gap" in point.free and point.values["backlash_gap"] >= 0.999 * widest
+
+
+def _without_gap(problem: FitProblem, point: Fit) -> tuple[FitProblem, Fit]:
+    """The problem and the model with motor and link as one. They do not rattle, so nothing is left out for that."""
     unmasked = problem.on([replace(c, rattle_mask=None, start_mask=None) for c in problem.recordings])
-    return unmasked, local_optima.refit(unmasked.at(last.process_noise), structure, rigid.values)
+    structure = point.structure.without("backlash", "tooth_compliance")
+    return unmasked, local_optima.refit(unmasked.at(point.process_noise), structure, point.values)
 
 
 def _search_from(
