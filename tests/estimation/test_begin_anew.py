@@ -11,10 +11,11 @@ from twin.estimation import horizon
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
-STRUCTURE = Structure.of(["inertia", "viscous_friction", "dead_band", "backlash"])
+STRUCTURE = Structure.of(["inertia", "viscous_friction", "dead_band", "backlash", "tooth_compliance"])
 VALUES = {
     "input_gain": 0.5, "viscous_friction": 4.0, "dead_band_forward": 4.0, "dead_band_reverse": 3.0,
-    "backlash_gap": 0.03, "motor_share": 0.25, "friction_share": 0.7,
+    "backlash_gap": 0.03, "motor_share": 0.25, "friction_share": 0.7, "tooth_frequency": 90.0,
+    "tooth_damping": 0.3,
 }  # fmt: skip
 
 

@@ -18,6 +18,7 @@ import long_recording
 import modestpy_comparison
 
 from twin.diagnosis import diagnose
+from twin.io.recording import load
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler is installed")
@@ -63,3 +64,10 @@ def test_a_missing_modestpy_is_named(tmp_path):
     without.chmod(0o755)
     with pytest.raises(SystemExit, match="ModestPy is not installed"):
         modestpy_comparison.theirs(modestpy_comparison.made(100), str(without))
+
+
+def test_a_short_recording_among_others_is_not_taken_for_reversed(tmp_path: Path) -> None:
+    """Two changes of the command in 2 s: by themselves they say the opposite of what all the others say."""
+    logs = [long_recording.record(tmp_path, 2.0 / 60.0, seed) for seed in (0, 1, 2, 3, 38)]
+    recordings, _ = load(logs, long_recording.RIG)
+    assert not [f for r in recordings for f in r.preflight if f.kind == "sign"]

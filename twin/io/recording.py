@@ -402,7 +402,7 @@ def _examined(recordings: list[Recording], rig: Rig) -> list[Recording]:
         if r.refresh is not None and rig.refresh is None:
             own.append(slow_sensor(s, r.refresh))
         if len(recordings) > 1 and not any(f.severity is Severity.BLOCKS for f in together):
-            own += reversed_alone(s)
+            own += reversed_alone(s, signals)
     return [replace(r, preflight=tuple(own)) for r, own in zip(recordings, found, strict=True)]
 
 

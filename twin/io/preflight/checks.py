@@ -17,6 +17,7 @@ from twin.io.preflight.response import (
     Regression,
     Response,
     Signals,
+    regression,
     response,
     size_of_change_response,
     speed_response,
@@ -271,10 +272,32 @@ def clipped(recordings: Sequence[Signals]) -> list[Finding]:
     ]
 
 
-def reversed_alone(signals: Signals) -> list[Finding]:
-    """One recording of several, in which the axis moves against the input (see `opposed`)."""
+def reversed_alone(signals: Signals, recordings: Sequence[Signals]) -> list[Finding]:
+    """One recording of several, in which the axis moves against the input (see `opposed`).
+
+    A short recording holds one change of the command or two. Its own coefficients then say little, and those of the
+    other recordings judge it: they have to tell its motion better with its command turned round.
+
+    Parameters
+    ----------
+    signals
+        The recording.
+    recordings
+        All of the rig, this one among them.
+    """
     seen = response([signals])
-    return [] if seen is None else opposed(seen)
+    found = [] if seen is None else opposed(seen)
+    if seen is None or not found:
+        return []
+    others = regression([s for s in recordings if s is not signals], seen.step)
+    if others is None:
+        return found
+    of_all = np.column_stack([others.motion, others.command])
+    size = np.maximum(np.sqrt(np.mean(of_all**2, axis=0)), 1e-300)
+    weights = np.linalg.lstsq(of_all / size, others.change, rcond=1e-9)[0] / size
+    own, driven = seen.rows.motion @ weights[:-3], seen.rows.command @ weights[-3:]
+    as_it_is, turned = (float(np.sum((seen.rows.change - own - sign * driven) ** 2)) for sign in (1.0, -1.0))
+    return found if turned < as_it_is else []
 
 
 def slow_sensor(signals: Signals, refresh: float) -> Finding:
