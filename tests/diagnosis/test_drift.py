@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -61,19 +63,47 @@ def test_the_tail_is_that_of_draws(weights: list[float], seed: int) -> None:
     assert np.all(np.diff([null.chance(float(v)) for v in values]) <= 1e-6)
 
 
+def two_runs() -> tuple[list[drift.Run], np.ndarray, np.ndarray, np.ndarray]:
+    """Two free runs with the same two parameters. And their sources, parameters and readings' variance as one."""
+    runs = []
+    for times in (1.0, 1.5):
+        factor = times * drift.factor(free(2.0), EDGES, Noise(1.0, 0.0, 0.0), False)
+        columns = 0.5 * np.stack([np.ones(len(factor)), np.linspace(0.0, times, len(factor))], axis=1)
+        count = len(factor)
+        runs.append(drift.Run(factor, columns, np.full(count, 0.5 / count), np.full(count, 1e-3)))
+    one, other = (r.factor for r in runs)
+    nothing = np.zeros((len(one), other.shape[1]))
+    return (
+        runs,
+        np.block([[one, nothing], [nothing, other]]),
+        np.vstack([r.parameters for r in runs]),
+        np.full(160, 1e-3),
+    )
+
+
 def test_what_parameters_can_follow_is_no_error_any_more() -> None:
-    """Residuals of a generalised least-squares fit to draws of the error have the mean square that is foretold."""
+    """Residuals of a generalised least-squares fit to draws of the error have the mean squares that are foretold."""
     rng = np.random.default_rng(2)
-    factor = drift.factor(free(2.0), EDGES, Noise(1.0, 0.0, 0.0), False)
-    columns = np.stack([np.ones(len(factor)), np.linspace(0.0, 1.0, len(factor))], axis=1)
-    covariance, reading = factor @ factor.T, np.full(len(factor), 1e-3)
-    whole = covariance + np.diag(reading)
-    draws = factor @ rng.standard_normal((factor.shape[1], 2000)) + np.sqrt(1e-3) * rng.standard_normal((80, 2000))
-    weighed = np.linalg.solve(whole, columns)
+    runs, factor, columns, reading = two_runs()
+    draws = factor @ rng.standard_normal((factor.shape[1], 2000)) + np.sqrt(1e-3) * rng.standard_normal((160, 2000))
+    weighed = np.linalg.solve(factor @ factor.T + np.diag(reading), columns)
     rest = draws - columns @ np.linalg.solve(columns.T @ weighed, weighed.T @ draws)
-    foretold = np.mean(np.diag(drift.fitted(covariance, columns, reading))) + 1e-3
-    assert np.mean(rest**2) == pytest.approx(foretold, rel=0.05)
-    assert foretold < 0.5 * np.mean(np.diag(whole))
+    null, free_null = (drift.mean_square(runs, 1e-3, 160, fitted) for fitted in (True, False))
+    assert np.mean(rest**2) == pytest.approx(null.mean, rel=0.05)
+    assert null.mean < 0.5 * free_null.mean
+    assert np.quantile(np.mean(rest**2, axis=0), 0.95) == pytest.approx(null.exceeded(0.05), rel=0.1)
+
+
+def test_runs_share_the_errors_of_their_parameters() -> None:
+    rng = np.random.default_rng(3)
+    runs, factor, columns, _ = two_runs()
+    draws = factor @ rng.standard_normal((factor.shape[1], 4000)) + columns @ rng.standard_normal((2, 4000))
+    squares = np.mean(draws**2, axis=0)
+    null = drift.mean_square(runs, 0.0, 160, False)
+    assert null.mean == pytest.approx(np.mean(squares), rel=0.05)
+    assert null.exceeded(0.05) == pytest.approx(np.quantile(squares, 0.95), rel=0.1)
+    apart = [replace(r, parameters=0.0 * r.parameters) for r in runs]
+    assert drift.mean_square(apart, 0.0, 160, False).mean < 0.9 * null.mean
 
 
 def test_nothing_random_leaves_no_doubt() -> None:

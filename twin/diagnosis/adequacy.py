@@ -140,21 +140,14 @@ def together(errors: Sequence[Error], was_fitted: bool) -> FreeRun:
     if readings == 0:
         return NOTHING_READ
     weights = [e.readings / readings for e in errors]
-    share = np.concatenate([w * e.share for w, e in zip(weights, errors, strict=True)])
-    sizes = [len(e.share) for e in errors]
-    covariance = np.zeros((sum(sizes), sum(sizes)))
-    begin = 0
-    for e, size in zip(errors, sizes, strict=True):
-        covariance[begin : begin + size, begin : begin + size] = e.factor @ e.factor.T
-        begin += size
-    sensitivity = np.vstack([e.parameters for e in errors])
     reading = sum(w * e.reading for w, e in zip(weights, errors, strict=True))
-    if not was_fitted:
-        covariance = covariance + sensitivity @ sensitivity.T
-    elif sensitivity.shape[1]:
+    runs = [
         # Each point stands for several readings, whose noise averages out.
-        covariance = drift.fitted(covariance, sensitivity, reading / np.maximum(share * readings, 1.0))
-    null: MeanSquare = drift.mean_square(covariance, share, reading, readings)
+        drift.Run(e.factor, e.parameters, w * e.share, reading / np.maximum(e.share * e.readings, 1.0))
+        for w, e in zip(weights, errors, strict=True)
+        if e.readings
+    ]
+    null: MeanSquare = drift.mean_square(runs, reading, readings, was_fitted)
     square = sum(e.squares for e in errors) / readings
     return FreeRun(math.sqrt(square), math.sqrt(null.mean), null.chance(square), math.sqrt(null.exceeded(RARE)))
 

@@ -19,6 +19,7 @@ saddlepoint approximation of Lugannani and Rice (Kuonen, Biometrika 86, 1999).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,8 @@ FloatArray = NDArray[np.float64]
 _SWING = 1.0
 #: Share of the largest weight below which a chi-square adds nothing.
 _NOTHING = 1e-9
+#: Share of the variance of all runs below which a mode of one of them is left out.
+_FAINT = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,44 +178,68 @@ def _tail(weights: FloatArray, freedom: FloatArray, value: float) -> float:
     return float(np.clip(1.0 - ndtr(w + math.log(v / w) / w), 0.0, 1.0))
 
 
-def mean_square(covariance: FloatArray, share: FloatArray, reading: float, readings: int) -> MeanSquare:
-    """The distribution of the mean square of an error.
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One of several free runs on its grid of K points: what makes its error, without reading noise.
+
+    Sources act on one run alone; parameters are those of the model, and the same in all runs.
+    """
+
+    factor: FloatArray  # (K, sources) error by source, each of variance one
+    parameters: FloatArray  # (K, n) error by standard errors of the parameters, each of variance one
+    share: FloatArray  # (K,) share of all readings that each point stands for
+    reading: FloatArray  # (K,) variance of the mean of the readings that each point stands for
+
+
+def mean_square(runs: Sequence[Run], reading: float, readings: int, was_fitted: bool) -> MeanSquare:
+    """The distribution of the mean square of the error of several free runs.
+
+    Of each run only the modes count that hold its variance, some ten: a torque that is integrated twice leaves little
+    in the others. So hundreds of runs are judged together.
 
     Parameters
     ----------
-    covariance : ndarray, shape (K, K)
-        Of the error at the points of the grid, without reading noise.
-    share : ndarray, shape (K,)
-        Share of the readings that each point stands for.
+    runs : sequence of Run
+        With the same parameters.
     reading : float
         Variance of the reading noise, which is independent from reading to reading.
     readings : int
         How many readings there are.
+    was_fitted : bool
+        Whether the parameters were fitted to these readings: see `_by_parameters`.
     """
-    root = np.sqrt(share)
-    weights = np.maximum(np.linalg.eigvalsh(covariance * np.outer(root, root)), 0.0)
+    middle = _by_parameters(runs) if was_fitted else np.eye(runs[0].parameters.shape[1])
+    size, axes = np.linalg.eigh(middle)
+    along = axes * np.sqrt(np.abs(size))
+    own = [np.sqrt(r.share)[:, None] * r.factor for r in runs]
+    shared = [np.sqrt(r.share)[:, None] * (r.parameters @ along) for r in runs]
+    modes = [np.linalg.eigh(a @ a.T + b @ b.T) for a, b in zip(own, shared, strict=True)]
+    least = _FAINT * sum(float(variance.sum()) for variance, _ in modes)
+    bases = [vectors[:, variance > least] for variance, vectors in modes]
+    common = np.vstack([basis.T @ b for basis, b in zip(bases, shared, strict=True)])
+    whole = common * np.sign(size) @ common.T
+    begin = 0
+    for basis, a in zip(bases, own, strict=True):
+        here = slice(begin, begin + basis.shape[1])
+        reduced = basis.T @ a
+        whole[here, here] += reduced @ reduced.T
+        begin = here.stop
+    weights = np.maximum(np.linalg.eigvalsh(whole), 0.0)
     count = max(readings, 1)
     return MeanSquare(np.append(weights, reading / count), np.append(np.ones(len(weights)), float(count)))
 
 
-def fitted(covariance: FloatArray, sensitivity: FloatArray, reading: FloatArray) -> FloatArray:
-    """The covariance (K, K) of the error of a free run whose parameters were fitted to the same readings.
+def _by_parameters(runs: Sequence[Run]) -> FloatArray:
+    """What parameters that were fitted to the same readings add to the covariance of the error: less than nothing.
 
     The likelihood of a linear model with this noise is that of generalised least squares. Its residuals have the
-    covariance C - S (S' C^-1 S)^-1 S': what the parameters can follow is no longer an error.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (K, K)
-        C, without reading noise.
-    sensitivity : ndarray, shape (K, n)
-        S, what each parameter does to the free run.
-    reading : ndarray, shape (K,)
-        Variance of the mean of the readings that each point stands for.
+    covariance C - S (S' C^-1 S)^-1 S': what the parameters can follow is no longer an error. Returned is the middle of
+    the second term (n, n). C is a block for each run.
     """
-    scale = np.sqrt(np.maximum(np.sum(sensitivity**2, axis=0), 1e-300))
-    columns = sensitivity / scale
-    whole = covariance + np.diag(reading)
-    solved = np.linalg.solve(whole, columns)
-    information = columns.T @ solved
-    return np.asarray(covariance - columns @ np.linalg.pinv(information, rcond=1e-10, hermitian=True) @ columns.T)
+    count = runs[0].parameters.shape[1]
+    scale = np.sqrt(np.maximum(sum(np.sum(r.parameters**2, axis=0) for r in runs), 1e-300))
+    information = np.zeros((count, count))
+    for r in runs:
+        columns = r.parameters / scale
+        information += columns.T @ np.linalg.solve(r.factor @ r.factor.T + np.diag(r.reading), columns)
+    return np.asarray(-np.linalg.pinv(information, rcond=1e-10, hermitian=True) / np.outer(scale, scale))
