@@ -19,6 +19,10 @@ VALUES = {
 }  # fmt: skip
 
 
+#: What is fitted: identification knows no teeth unless it is told.
+FIRST = STRUCTURE.without("tooth_compliance")
+
+
 def recorded(noise: float, counts: float, driven: bool = True) -> Recording:
     """10 s at 2 ms; the readings scatter by `noise` (rad) and are rounded to so many counts per revolution."""
     rng = np.random.default_rng(0)
@@ -31,10 +35,10 @@ def recorded(noise: float, counts: float, driven: bool = True) -> Recording:
     return Recording("made", time, command, output, "%", "rad", resolution=count)
 
 
-@pytest.mark.parametrize(("noise", "counts"), [(0.2, 10000.0), (0.0, 50.0)], ids=["scattered", "coarse"])
+@pytest.mark.parametrize(("noise", "counts"), [(0.2, 10000.0), (0.0, 20.0)], ids=["scattered", "coarse"])
 def test_gain_and_friction_are_those_of_the_axis(noise: float, counts: float) -> None:
     """The way from a short memory alone gives a friction ten times too large, with a small error."""
-    found = twin.identify(recorded(noise, counts), STRUCTURE)
+    found = twin.identify(recorded(noise, counts), FIRST)
     assert found.values["input_gain"] == pytest.approx(VALUES["input_gain"], rel=0.05)
     assert found.values["viscous_friction"] == pytest.approx(VALUES["viscous_friction"], rel=0.1)
 
