@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from concealed import Concealed, visibility
+from concealed import Concealed, Trip, visibility
 from excitations import EXCITATIONS, FREE
 from simulators import SIMULATORS
 from worn_rig import DEPARTS
@@ -180,19 +180,28 @@ def _ids(rng: np.random.Generator, kind: str, outside: Sequence[str]) -> tuple[s
 
 
 def _plant(
-    rng: np.random.Generator, effect: str, source: Any, rig: Any, stamps: Array, duty: Array, noise_seed: int,
-    duration: float,
-) -> tuple[Concealed, Planted] | None:  # fmt: skip
+    rng: np.random.Generator, effect: str, source: Any, rig: Any, trip: Trip, duration: float
+) -> tuple[Concealed, Planted] | None:
     """The effect at a size drawn log-uniformly from its noise floor up; None where it cannot show at all."""
     least = SMALLEST
     for _ in range(REDRAWS):
         size = least * (LARGEST / least) ** float(rng.uniform())
         drawn = source.draw_effect(rng, effect, rig, size, duration)
-        seen = visibility(source.simulate, rig, [drawn], stamps, duty, noise_seed)
+        seen = visibility(trip, rig, [drawn])
         if seen >= FLOOR:
             return drawn, Planted(effect, size, seen, drawn.parameters)
         least = size  # visibility grows with size: what is below need not be tried again
     return None
+
+
+@dataclass(frozen=True)
+class Study:
+    """What the trials of a study have in common; with it, a trial's number draws all of that trial."""
+
+    seed: int
+    kinds: Sequence[str]
+    duration: float  # of a recording, s
+    simulator: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,10 +228,10 @@ def draw(seed: int, trial: int, kinds: Sequence[str], duration: float, simulator
         rig, excitation = source.draw_rig(rng), str(rng.choice(list(EXCITATIONS)))
         ids = _ids(rng, kind, source.OUTSIDE)
         stamps, duty = EXCITATIONS[excitation](duration, rng, FREE)
-        noise_seed = int(rng.integers(2**31))
+        trip = Trip(source.simulate, stamps, duty, int(rng.integers(2**31)))
         found = []
         for effect in ids:
-            one = _plant(rng, effect, source, rig, stamps, duty, noise_seed, duration)
+            one = _plant(rng, effect, source, rig, trip, duration)
             if one is None:
                 break
             found.append(one)
@@ -230,7 +239,7 @@ def draw(seed: int, trial: int, kinds: Sequence[str], duration: float, simulator
             break
     planted = tuple(p for _, p in found)
     label = Label(seed, trial, simulator, kind, excitation, duration, rig.truths(), planted)
-    return Draw(label, salt, rig, tuple(e for e, _ in found), stamps, duty, noise_seed)
+    return Draw(label, salt, rig, tuple(e for e, _ in found), stamps, duty, trip.seed)
 
 
 def make(
@@ -265,8 +274,8 @@ def ask(recording: Recording, candidates: Sequence[str] = CANDIDATES) -> Answer:
 # ---- running them ----
 
 
-def _trial(pool: Executor, seed: int, trial: int, kinds: Sequence[str], duration: float, simulator: str) -> Outcome:
-    label, salt, recording = make(seed, trial, kinds, duration, simulator)
+def _trial(pool: Executor, study: Study, trial: int) -> Outcome:
+    label, salt, recording = make(study.seed, trial, study.kinds, study.duration, study.simulator)
     sealed = seal(label, salt)
     print(f"trial {trial}: sealed {sealed}", flush=True)
     answer = pool.submit(ask, recording).result()
@@ -293,16 +302,8 @@ def _opened(outcome: Outcome) -> str:
     )
 
 
-def run(
-    trials: Iterable[int],
-    seed: int,
-    kinds: Sequence[str],
-    duration: float,
-    simulator: str,
-    processes: int,
-    done: Callable[[Outcome], None],
-) -> list[Outcome]:
-    """All trials; `done` is called with each as it is opened."""
+def run(study: Study, trials: Iterable[int], processes: int, done: Callable[[Outcome], None]) -> list[Outcome]:
+    """These trials of a study; `done` is called with each as it is opened."""
     compile_kernel(lambda sentence, share: print(sentence, file=sys.stderr))
     # Fresh processes: they share no memory with this one, and the linear algebra in them starts with one thread each.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
@@ -312,7 +313,7 @@ def run(
         ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool,
         ThreadPoolExecutor(processes) as threads,
     ):
-        waiting = [threads.submit(_trial, pool, seed, n, kinds, duration, simulator) for n in trials]
+        waiting = [threads.submit(_trial, pool, study, n) for n in trials]
         try:
             for future in as_completed(waiting):
                 outcomes.append(future.result())
@@ -506,7 +507,8 @@ def main(arguments: list[str] | None = None) -> None:
         return
     numbers = range(given.first, given.first + given.trials)
     save = (lambda outcome: write(given.json, outcome)) if given.json else (lambda outcome: None)
-    outcomes = run(numbers, given.seed, given.kinds, given.duration, given.simulator, given.processes, save)
+    study = Study(given.seed, given.kinds, given.duration, given.simulator)
+    outcomes = run(study, numbers, given.processes, save)
     print("\n" + summary(outcomes))
 
 

@@ -20,7 +20,7 @@ from math import exp, floor, inf, pi, radians, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from concealed import Concealed, check
+from concealed import Concealed, Drawing, check
 from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import lfilter
@@ -223,129 +223,123 @@ def draw_rig(rng: np.random.Generator) -> Rig:
 Parameters = dict[str, float]
 
 
-def _draws(rng: np.random.Generator, rig: Rig, size: float, duration: float) -> dict[str, Callable[[], Concealed]]:
-    torque, speed = size * rig.half_torque, rig.half_speed
-    reach = min(0.5 * speed, pi)
+def _dry_friction(d: Drawing, level: float) -> Parameters:
+    """Plain dry friction; its share at the motor and whether it gives are the rig's own."""
+    at_motor = d.between(0.0, 0.4) * float(d.rng.random() < 0.5)
+    bristle = 6e-5 * 7.0 ** d.between(0.0, 1.0) * float(d.rng.random() < 0.5)
+    return {"coulomb": level, "dry_at_motor": at_motor, "bristle": bristle}
 
-    def between(low: float, high: float) -> float:
-        return float(rng.uniform(low, high))
 
-    def either() -> float:
-        return float(rng.choice([-1.0, 1.0]))
+def _stribeck_friction(d: Drawing) -> tuple[Parameters, Parameters]:
+    level = d.between(0.02, 0.06) * d.rig.half_torque
+    more = {"excess": d.torque, "excess_speed": d.speed * d.between(0.02, 0.15)}
+    plain = _dry_friction(d, level)
+    return plain | more, plain
 
-    def phase() -> float:
-        return between(-pi, pi)
 
-    def one_of(*names: str) -> str:
-        return str(rng.choice(names))
+def _friction_asymmetry(d: Drawing) -> tuple[Parameters, Parameters]:
+    share = d.between(0.2, 0.8) * d.either()
+    plain = _dry_friction(d, d.torque / abs(share))
+    return plain | {"one_way": share if d.size else 0.0}, plain
 
-    def dry(id: str, level: float, parameters: Parameters) -> Concealed:
-        """On or in dry friction, whose share at the motor and give are the rig's own."""
-        at_motor = between(0.0, 0.4) * float(rng.random() < 0.5)
-        bristle = 6e-5 * 7.0 ** between(0.0, 1.0) * float(rng.random() < 0.5)
-        carrier = {"coulomb": level, "dry_at_motor": at_motor, "bristle": bristle}
-        if id == "coulomb_friction":
-            return Concealed(id, carrier)
-        return Concealed(id, carrier | parameters, Concealed("coulomb_friction", carrier))
 
-    def shaped(id: str, name: str, share: float, parameters: Parameters) -> Concealed:
-        return dry(id, torque / abs(share), {name: share if size else 0.0, **parameters})
+def _position_dependent_friction(d: Drawing) -> tuple[Parameters, Parameters]:
+    share, phase = d.between(0.3, 0.95), d.phase()
+    plain = _dry_friction(d, d.torque / share)
+    return plain | {"around": share if d.size else 0.0, "around_phase": phase}, plain
 
-    def stops() -> Concealed:
-        upper, lower = (
-            speed * 0.3 / size * rng.uniform(0.1, 0.3, 2) if size else np.array([FAR, FAR])
-        ).tolist()  # fmt: skip
-        missing, rate = rng.integers(0, 4), TURN * between(15.0, 50.0)
-        return Concealed("end_stop", {
-            "stop_upper": FAR if missing == 0 else rig.start + upper,
-            "stop_lower": -FAR if missing == 1 else rig.start - lower,
-            "stop_stiffness": rate**2,
-            "stop_damping": 2.0 * between(0.1, 0.4) * rate,
-        })  # fmt: skip
 
-    def coupling() -> Concealed:
-        if not size:
-            return Concealed("joint_elasticity", {})
-        gear = between(0.03, 0.1) * (1.0 - rig.motor_inertia)
-        ahead, rate = rig.motor_inertia + gear, TURN * min(3.0 * sqrt(0.3 / size), 60.0)
-        reduced = ahead * (1.0 - ahead)
-        return Concealed("joint_elasticity", {
-            "gear_inertia": gear,
-            "coupling_stiffness": rate**2 * reduced,
-            "coupling_damping": 2.0 * between(0.01, 0.1) * rate * reduced,
-        })  # fmt: skip
-
-    def load_change() -> Concealed:
-        factor = 1.0 + 3.0 * size
-        return Concealed("load_change", {
-            "load_factor": factor if rng.random() < 0.5 else 1.0 / factor, "load_time": duration * between(0.3, 0.7),
-        })  # fmt: skip
-
-    def gravity() -> Concealed:
-        down = -phase()  # it starts hanging, or would swing
-        return Concealed("gravity", {"gravity": torque, "gravity_phase": -down, "start": down})
-
-    def fade() -> Concealed:
-        time = duration * between(0.3, 1.0)
-        return Concealed("thermal_fade", {"heating": 1500.0 * size / time, "cooling_time": time})
-
+def _end_stop(d: Drawing) -> Parameters:
+    away = d.speed * 0.3 / d.size * d.rng.uniform(0.1, 0.3, 2) if d.size else np.array([FAR, FAR])
+    upper, lower = away.tolist()
+    missing, rate = d.rng.integers(0, 4), TURN * d.between(15.0, 50.0)
     return {
-        "coulomb_friction": lambda: dry("coulomb_friction", torque, {}),
-        "stribeck_friction": lambda: dry("stribeck_friction", between(0.02, 0.06) * rig.half_torque,
-            {"excess": torque, "excess_speed": speed * between(0.02, 0.15)}),
-        "friction_asymmetry": lambda: shaped("friction_asymmetry", "one_way", between(0.2, 0.8) * either(), {}),
-        "position_dependent_friction": lambda: shaped(
-            "position_dependent_friction", "around", between(0.3, 0.95), {"around_phase": phase()}),
-        "load_dependent_friction": lambda: Concealed(
-            "load_dependent_friction", {"per_load": size, "load_at_motor": float(rng.random() < 0.5)}),
-        "constant_offset": lambda: Concealed(
-            "constant_offset", {one_of("offset_motor", "offset_link"): torque * either()}),
-        "quadratic_drag": lambda: Concealed("quadratic_drag", {"drag": torque / speed**2}),
-        "gravity": gravity,
-        "spring": lambda: Concealed("spring", {"spring": torque / pi, "spring_rest": rig.start + between(-0.5, 0.5)}),
-        "torque_ripple": lambda: Concealed("torque_ripple", {
-            one_of("ripple_motor", "ripple_link"): torque, "ripple_order": float(rng.integers(4, 41)),
-            "ripple_phase": phase()}),
-        "end_stop": stops,
-        "joint_elasticity": coupling,
-        "motor_lag": lambda: Concealed("motor_lag", {one_of("filter_time", "winding_time"): 0.2 * size}),
-        "input_delay": lambda: Concealed("input_delay", {"delay": 0.1 * size}),
-        "drive_saturation": lambda: Concealed("drive_saturation", {"saturation": 100.0 * (1.0 - 2.0 * size)}),
-        "supply_sag": lambda: Concealed("supply_sag", {"source_resistance": size}),
-        "thermal_fade": fade,
-        "load_change": load_change,
-        "encoder_eccentricity": lambda: Concealed(
-            "encoder_eccentricity", {"eccentricity": 0.1 * size, "eccentricity_phase": phase()}),
-        "periodic_disturbance": lambda: Concealed("periodic_disturbance", {
-            "shake": torque, "shake_frequency": 0.5 * 30.0 ** between(0.0, 1.0), "shake_phase": phase()}),
-        "friction_run_in": lambda: Concealed(
-            "friction_run_in", {"run_in": torque, "run_in_time": duration * between(0.05, 0.3)}),
-        "presliding_friction": lambda: Concealed("presliding_friction", {
-            "give": torque, "give_travel": 0.02 * 4.0 ** between(0.0, 1.0)}),
-        "flexible_load": lambda: Concealed("flexible_load", {
-            "rider": 2.0 * size, "rider_rate": TURN * 0.8 * 10.0 ** between(0.0, 1.0),
-            "rider_loss": 0.03 * 10.0 ** between(0.0, 1.0)}),
-        "sticky_sector": lambda: Concealed("sticky_sector", {
-            "sector": torque, "sector_angle": rig.start + reach * between(-1.0, 1.0),
-            "sector_half": between(0.15, 0.5)}),
-        "disturbance_pulse": lambda: Concealed("disturbance_pulse", {
-            "pulse": torque * either(), "pulse_start": duration * between(0.1, 0.7),
-            "pulse_length": duration * between(0.05, 0.2)}),
-        "detent": lambda: Concealed("detent", {
-            "latch": torque, "latch_width": between(0.06, 0.2), "latch_angle": rig.start + reach * between(-1.0, 1.0)}),
-        "other_speed_hump": lambda: Concealed("other_speed_hump", {
-            "hump": torque, "hump_speed": speed * between(0.3, 0.7), "hump_width": speed * between(0.05, 0.12)}),
-        "other_cubic_spring": lambda: Concealed("other_cubic_spring", {
-            "cubic": torque / max(speed, 1.0) ** 3, "cubic_flat": speed * between(0.1, 0.4)}),
-        "viscous_asymmetry": lambda: Concealed(
-            "viscous_asymmetry", {"slant": size * rig.viscous_friction * either()}),
-    }  # fmt: skip
+        "stop_upper": FAR if missing == 0 else d.rig.start + upper,
+        "stop_lower": -FAR if missing == 1 else d.rig.start - lower,
+        "stop_stiffness": rate**2,
+        "stop_damping": 2.0 * d.between(0.1, 0.4) * rate,
+    }
 
+
+def _joint_elasticity(d: Drawing) -> Parameters:
+    if not d.size:
+        return {}
+    gear = d.between(0.03, 0.1) * (1.0 - d.rig.motor_inertia)
+    ahead, rate = d.rig.motor_inertia + gear, TURN * min(3.0 * sqrt(0.3 / d.size), 60.0)
+    reduced = ahead * (1.0 - ahead)
+    return {
+        "gear_inertia": gear,
+        "coupling_stiffness": rate**2 * reduced,
+        "coupling_damping": 2.0 * d.between(0.01, 0.1) * rate * reduced,
+    }
+
+
+def _load_change(d: Drawing) -> Parameters:
+    factor = 1.0 + 3.0 * d.size
+    factor = factor if d.rng.random() < 0.5 else 1.0 / factor
+    return {"load_factor": factor, "load_time": d.duration * d.between(0.3, 0.7)}
+
+
+def _gravity(d: Drawing) -> Parameters:
+    down = -d.phase()  # it starts hanging, or would swing
+    return {"gravity": d.torque, "gravity_phase": -down, "start": down}
+
+
+def _thermal_fade(d: Drawing) -> Parameters:
+    time = d.duration * d.between(0.3, 1.0)
+    return {"heating": 1500.0 * d.size / time, "cooling_time": time}
+
+
+_EFFECTS: dict[str, Callable[[Drawing], Parameters]] = {
+    "constant_offset": lambda d: {d.one_of("offset_motor", "offset_link"): d.torque * d.either()},
+    "coulomb_friction": lambda d: _dry_friction(d, d.torque),
+    "detent": lambda d: {
+        "latch": d.torque, "latch_width": d.between(0.06, 0.2),
+        "latch_angle": d.rig.start + d.reach * d.between(-1.0, 1.0)},
+    "disturbance_pulse": lambda d: {
+        "pulse": d.torque * d.either(), "pulse_start": d.duration * d.between(0.1, 0.7),
+        "pulse_length": d.duration * d.between(0.05, 0.2)},
+    "drive_saturation": lambda d: {"saturation": 100.0 * (1.0 - 2.0 * d.size)},
+    "encoder_eccentricity": lambda d: {"eccentricity": 0.1 * d.size, "eccentricity_phase": d.phase()},
+    "end_stop": _end_stop,
+    "flexible_load": lambda d: {
+        "rider": 2.0 * d.size, "rider_rate": TURN * 0.8 * 10.0 ** d.between(0.0, 1.0),
+        "rider_loss": 0.03 * 10.0 ** d.between(0.0, 1.0)},
+    "friction_run_in": lambda d: {"run_in": d.torque, "run_in_time": d.duration * d.between(0.05, 0.3)},
+    "gravity": _gravity,
+    "input_delay": lambda d: {"delay": 0.1 * d.size},
+    "joint_elasticity": _joint_elasticity,
+    "load_change": _load_change,
+    "load_dependent_friction": lambda d: {"per_load": d.size, "load_at_motor": float(d.rng.random() < 0.5)},
+    "motor_lag": lambda d: {d.one_of("filter_time", "winding_time"): 0.2 * d.size},
+    "periodic_disturbance": lambda d: {
+        "shake": d.torque, "shake_frequency": 0.5 * 30.0 ** d.between(0.0, 1.0), "shake_phase": d.phase()},
+    "presliding_friction": lambda d: {"give": d.torque, "give_travel": 0.02 * 4.0 ** d.between(0.0, 1.0)},
+    "quadratic_drag": lambda d: {"drag": d.torque / d.speed**2},
+    "spring": lambda d: {"spring": d.torque / pi, "spring_rest": d.rig.start + d.between(-0.5, 0.5)},
+    "sticky_sector": lambda d: {
+        "sector": d.torque, "sector_angle": d.rig.start + d.reach * d.between(-1.0, 1.0),
+        "sector_half": d.between(0.15, 0.5)},
+    "supply_sag": lambda d: {"source_resistance": d.size},
+    "thermal_fade": _thermal_fade,
+    "torque_ripple": lambda d: {
+        d.one_of("ripple_motor", "ripple_link"): d.torque, "ripple_order": float(d.rng.integers(4, 41)),
+        "ripple_phase": d.phase()},
+    "viscous_asymmetry": lambda d: {"slant": d.size * d.rig.viscous_friction * d.either()},
+    "other_cubic_spring": lambda d: {
+        "cubic": d.torque / max(d.speed, 1.0) ** 3, "cubic_flat": d.speed * d.between(0.1, 0.4)},
+    "other_speed_hump": lambda d: {
+        "hump": d.torque, "hump_speed": d.speed * d.between(0.3, 0.7), "hump_width": d.speed * d.between(0.05, 0.12)},
+}  # fmt: skip
+# Parts of dry friction: their numbers with those of the plain friction, and the latter alone.
+_IN_DRY_FRICTION: dict[str, Callable[[Drawing], tuple[Parameters, Parameters]]] = {
+    "friction_asymmetry": _friction_asymmetry,
+    "position_dependent_friction": _position_dependent_friction,
+    "stribeck_friction": _stribeck_friction,
+}
 
 OUTSIDE = ("other_cubic_spring", "other_speed_hump")
-VOCABULARY = tuple(
-    sorted(set(_draws(np.random.default_rng(0), draw_rig(np.random.default_rng(0)), 0.0, 1.0)) - set(OUTSIDE))
-)
+VOCABULARY = tuple(sorted({*_EFFECTS, *_IN_DRY_FRICTION} - {*OUTSIDE}))
 
 
 def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, duration: float = 60.0) -> Concealed:
@@ -356,10 +350,13 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
     eccentricity of 30 mrad, or a load almost doubled or halved. It is 450 K at stall (and so 20 to 100 in use), or a
     source with 0.3 of the winding's resistance.
     """
-    draws = _draws(rng, rig, size, duration)
-    if id not in draws:
-        raise ValueError(f"no effect {id!r}; there are {', '.join(VOCABULARY + OUTSIDE)}")
-    return draws[id]()
+    drawing = Drawing(rng, rig, size, duration)
+    if id in _IN_DRY_FRICTION:
+        values, plain = _IN_DRY_FRICTION[id](drawing)
+        return Concealed(id, values, Concealed("coulomb_friction", plain))
+    if id in _EFFECTS:
+        return Concealed(id, _EFFECTS[id](drawing))
+    raise ValueError(f"no effect {id!r}; there are {', '.join(VOCABULARY + OUTSIDE)}")
 
 
 # ---- the simulation ----
@@ -386,120 +383,175 @@ def _slowed(level, speed, bend, mass, rig, step):  # type: ignore[no-untyped-def
     return after, (bend + rate * after) / (1.0 + rate * abs(after))
 
 
+class _Step(NamedTuple):
+    """How long a step is, s, and what share of a change filter and winding let pass within it."""
+
+    length: float
+    voltage: float
+    current: float
+
+
+class _Drive(NamedTuple):
+    """What the drive keeps from one step to the next."""
+
+    filtered: float  # voltage
+    current: float
+    heat: float  # K above the start
+
+
+@njit(cache=True)
+def _drive(drive, duty, w_motor, step, rig):  # type: ignore[no-untyped-def]
+    """The drive after a step at a duty (%) and a speed of the motor (rad/s)."""
+    u = min(max(duty, -rig.saturation), rig.saturation)
+    acts = max(u - rig.dead_band_forward, 0.0) + min(u + rig.dead_band_reverse, 0.0)
+    filtered = drive.filtered + step.voltage * (0.01 * acts - drive.filtered)
+    emf = rig.back_emf * (1.0 + WARM_TORQUE * drive.heat) * w_motor
+    resistance = 1.0 + WARM_RESISTANCE * drive.heat
+    # The bridge draws filtered * current from a source that falls with it and takes nothing back.
+    rail = (1.0 + rig.source_resistance * filtered * emf) / (1.0 + rig.source_resistance * filtered**2)
+    current = drive.current + step.current * ((filtered * min(rail, 1.0) - emf) / resistance - drive.current)
+    heat = drive.heat + step.length * (rig.heating * current**2 - drive.heat / rig.cooling_time)
+    return _Drive(filtered, current, heat)
+
+
+@njit(cache=True)
+def _field(link, w_link, now, rig):  # type: ignore[no-untyped-def]
+    """Torque on the link at an angle (rad), a speed (rad/s) and a time (s), without teeth and dry friction."""
+    torque = rig.offset_link + rig.ripple_link * sin(rig.ripple_order * link + rig.ripple_phase)
+    torque -= rig.link_viscous * w_link + rig.slant * abs(w_link)
+    torque -= rig.drag * w_link * abs(w_link) + rig.gravity * sin(link + rig.gravity_phase)
+    torque -= rig.spring * (link - rig.spring_rest)
+    torque += rig.shake * sin(TURN * rig.shake_frequency * now + rig.shake_phase)
+    off = ((link - rig.latch_angle + pi) % TURN - pi) / rig.latch_width
+    torque -= rig.latch * off * exp(0.5 - 0.5 * off**2)
+    if 0.0 <= now - rig.clock - rig.pulse_start < rig.pulse_length:
+        torque += rig.pulse
+    hump = rig.hump * exp(-(((abs(w_link) - rig.hump_speed) / rig.hump_width) ** 2))
+    torque -= hump if w_link > 0.0 else -hump
+    away = link - rig.start
+    torque -= rig.cubic * (max(away - rig.cubic_flat, 0.0) + min(away + rig.cubic_flat, 0.0)) ** 3
+    if link > rig.stop_upper:
+        torque -= max(rig.stop_stiffness * (link - rig.stop_upper) + rig.stop_damping * w_link, 0.0)
+    if link < rig.stop_lower:
+        torque -= min(rig.stop_stiffness * (link - rig.stop_lower) + rig.stop_damping * w_link, 0.0)
+    return torque
+
+
+@njit(cache=True)
+def _teeth(twist, rate, rig):  # type: ignore[no-untyped-def]
+    """Torque through the teeth, which push and do not pull."""
+    half = 0.5 * rig.gap
+    if twist > half:
+        return max(rig.teeth_stiffness * (twist - half) + rig.teeth_damping * rate, 0.0)
+    if twist < -half:
+        return min(rig.teeth_stiffness * (twist + half) + rig.teeth_damping * rate, 0.0)
+    return 0.0
+
+
+@njit(cache=True)
+def _dry(link, w_link, now, rig):  # type: ignore[no-untyped-def]
+    """Dry friction of motor and link together, without what the teeth's torque adds."""
+    dry = rig.coulomb + rig.excess * exp(-((w_link / rig.excess_speed) ** 2))
+    dry *= 1.0 + rig.around * sin(link + rig.around_phase)
+    dry += rig.run_in * exp(-max(now - rig.clock, 0.0) / rig.run_in_time)
+    if abs((link - rig.sector_angle + pi) % TURN - pi) < rig.sector_half:
+        dry += rig.sector
+    return dry
+
+
 @njit(cache=True)
 def _play(rig, duty, shaking, substeps):  # type: ignore[no-untyped-def]
     """Symplectic Euler; `duty` (n,) held, `shaking` (n + 1,) straight lines between, both per SAMPLE. Rows (n, 5)."""
-    step = SAMPLE / substeps
+    h = SAMPLE / substeps
+    pass_voltage = 1.0 - exp(-h / rig.filter_time) if rig.filter_time > 0.0 else 1.0
+    pass_current = 1.0 - exp(-h / rig.winding_time) if rig.winding_time > 0.0 else 1.0
+    step, drive = _Step(h, pass_voltage, pass_current), _Drive(0.0, 0.0, 0.0)
     out = np.empty((len(duty), 5))
-    half = 0.5 * rig.gap
     elastic = rig.gear_inertia > 0.0
     link_inertia = 1.0 - rig.motor_inertia - rig.gear_inertia
-    link = gear = rig.start
+    link = gear = rider = rig.start
     motor = rig.start + rig.start_in_gap
-    w_link = w_gear = w_motor = bend_link = bend_motor = 0.0
-    filtered = current = heat = give = w_rider = 0.0
-    rider = rig.start
-    pass_voltage = 1.0 - exp(-step / rig.filter_time) if rig.filter_time > 0.0 else 1.0
-    pass_current = 1.0 - exp(-step / rig.winding_time) if rig.winding_time > 0.0 else 1.0
+    w_link = w_gear = w_motor = w_rider = bend_link = bend_motor = give = 0.0
     for k in range(len(duty)):
-        out[k] = link, w_link, motor, current, heat
+        out[k] = link, w_link, motor, drive.current, drive.heat
         for j in range(substeps):
-            now = k * SAMPLE + j * step
+            now = k * SAMPLE + j * h
             if now >= rig.load_time:
                 link_inertia = (1.0 - rig.motor_inertia - rig.gear_inertia) * rig.load_factor
-            # Drive and winding.
             late = floor((now - rig.delay) / SAMPLE + 1e-9)
-            u = min(max(duty[late] if late >= 0 else 0.0, -rig.saturation), rig.saturation)
-            acts = max(u - rig.dead_band_forward, 0.0) + min(u + rig.dead_band_reverse, 0.0)
-            filtered += pass_voltage * (0.01 * acts - filtered)
-            emf = rig.back_emf * (1.0 + WARM_TORQUE * heat) * w_motor
-            resistance = 1.0 + WARM_RESISTANCE * heat
-            # The bridge draws filtered * current from a source that falls with it and takes nothing back.
-            rail = (1.0 + rig.source_resistance * filtered * emf) / (1.0 + rig.source_resistance * filtered**2)
-            current += pass_current * ((filtered * min(rail, 1.0) - emf) / resistance - current)
-            heat += step * (rig.heating * current**2 - heat / rig.cooling_time)
+            drive = _drive(drive, duty[late] if late >= 0 else 0.0, w_motor, step, rig)
             # Torques on motor and link without teeth and dry friction.
             mixed = shaking[k] + (shaking[k + 1] - shaking[k]) * j / substeps
-            on_motor = rig.stall_torque * (1.0 + WARM_TORQUE * heat) * current + mixed - rig.motor_viscous * w_motor
+            on_motor = rig.stall_torque * (1.0 + WARM_TORQUE * drive.heat) * drive.current + mixed
+            on_motor -= rig.motor_viscous * w_motor
             on_motor += rig.offset_motor + rig.ripple_motor * sin(rig.ripple_order * motor + rig.ripple_phase)
-            on_link = rig.offset_link + rig.ripple_link * sin(rig.ripple_order * link + rig.ripple_phase)
-            on_link -= rig.link_viscous * w_link + rig.slant * abs(w_link)
-            on_link -= rig.drag * w_link * abs(w_link) + rig.gravity * sin(link + rig.gravity_phase)
-            on_link -= rig.spring * (link - rig.spring_rest)
-            on_link += rig.shake * sin(TURN * rig.shake_frequency * now + rig.shake_phase)
-            off = ((link - rig.latch_angle + pi) % TURN - pi) / rig.latch_width
-            on_link -= rig.latch * off * exp(0.5 - 0.5 * off**2)
-            if 0.0 <= now - rig.clock - rig.pulse_start < rig.pulse_length:
-                on_link += rig.pulse
-            hump = rig.hump * exp(-(((abs(w_link) - rig.hump_speed) / rig.hump_width) ** 2))
-            on_link -= hump if w_link > 0.0 else -hump
-            on_link -= rig.cubic * (max(link - rig.start - rig.cubic_flat, 0.0)
-                                    + min(link - rig.start + rig.cubic_flat, 0.0)) ** 3  # fmt: skip
-            if link > rig.stop_upper:
-                on_link -= max(rig.stop_stiffness * (link - rig.stop_upper) + rig.stop_damping * w_link, 0.0)
-            if link < rig.stop_lower:
-                on_link -= min(rig.stop_stiffness * (link - rig.stop_lower) + rig.stop_damping * w_link, 0.0)
+            on_link = _field(link, w_link, now, rig)
             if rig.rider > 0.0:
                 drawn = rig.rider_rate**2 * (link - rider) + 2.0 * rig.rider_loss * rig.rider_rate * (w_link - w_rider)
                 on_link -= rig.rider * drawn
-                w_rider += step * drawn
-                rider += step * w_rider
+                w_rider += h * drawn
+                rider += h * w_rider
             if rig.give > 0.0:
                 gives = w_motor / rig.give_travel - abs(w_motor) / rig.give_travel * give
-                give += step * gives
+                give += h * gives
                 on_motor -= rig.give * give + 0.6 * sqrt(rig.give * rig.give_travel * rig.motor_inertia) * gives
-            # Teeth push and do not pull.
             twist, rate = (motor - gear, w_motor - w_gear) if elastic else (motor - link, w_motor - w_link)
-            teeth = 0.0
-            if twist > half:
-                teeth = max(rig.teeth_stiffness * (twist - half) + rig.teeth_damping * rate, 0.0)
-            elif twist < -half:
-                teeth = min(rig.teeth_stiffness * (twist + half) + rig.teeth_damping * rate, 0.0)
-            passed = teeth
+            teeth = passed = _teeth(twist, rate, rig)
             if elastic:
                 passed = rig.coupling_stiffness * (gear - link) + rig.coupling_damping * (w_gear - w_link)
-                w_gear += step * (teeth - passed) / rig.gear_inertia
+                w_gear += h * (teeth - passed) / rig.gear_inertia
             # Speeds.
-            dry = (rig.coulomb + rig.excess * exp(-((w_link / rig.excess_speed) ** 2))) * (
-                1.0 + rig.around * sin(link + rig.around_phase)
-            )
-            dry += rig.run_in * exp(-max(now - rig.clock, 0.0) / rig.run_in_time)
-            if abs((link - rig.sector_angle + pi) % TURN - pi) < rig.sector_half:
-                dry += rig.sector
-            per_load = rig.per_load * abs(teeth)
+            dry, per_load = _dry(link, w_link, now, rig), rig.per_load * abs(teeth)
             at_link = (1.0 - rig.dry_at_motor) * dry + (1.0 - rig.load_at_motor) * per_load
             at_motor = rig.dry_at_motor * dry + rig.load_at_motor * per_load
-            w_link += step * (on_link + passed) / link_inertia
-            w_motor += step * (on_motor - teeth) / rig.motor_inertia
-            w_link, bend_link = _slowed(at_link, w_link, bend_link, link_inertia, rig, step)
-            w_motor, bend_motor = _slowed(at_motor, w_motor, bend_motor, rig.motor_inertia, rig, step)
-            link += step * w_link
-            motor += step * w_motor
-            gear += step * w_gear
+            w_link += h * (on_link + passed) / link_inertia
+            w_motor += h * (on_motor - teeth) / rig.motor_inertia
+            w_link, bend_link = _slowed(at_link, w_link, bend_link, link_inertia, rig, h)
+            w_motor, bend_motor = _slowed(at_motor, w_motor, bend_motor, rig.motor_inertia, rig, h)
+            link += h * w_link
+            motor += h * w_motor
+            gear += h * w_gear
     return out
 
 
+@dataclass(frozen=True)
+class Stepping:
+    """How a rig is simulated: s at zero duty before the recording, and internal steps per SAMPLE."""
+
+    settle: float = SETTLE
+    substeps: int = SUBSTEPS
+
+
+STEPPING = Stepping()
+
+
 def simulate(
-    rig: Rig, effects: Sequence[Concealed], time: Array, duty: Array, seed: int, noise: bool = True,
-    settle: float = SETTLE, substeps: int = SUBSTEPS,
-) -> Simulated:  # fmt: skip
+    rig: Rig,
+    effects: Sequence[Concealed],
+    time: Array,
+    duty: Array,
+    seed: int | None,
+    stepping: Stepping = STEPPING,
+) -> Simulated:
     """Play `duty` (n,) in percent, held from stamp to stamp of `time` (n,), whole multiples of SAMPLE from its first.
 
-    Before the first stamp the rig has stood for `settle` seconds at zero duty.
+    `seed` draws the process noise; None is none.
     Raises ValueError for an effect that is not known or there twice.
     """
     check(effects, VOCABULARY + OUTSIDE)
     for e in effects:
         # Two parts of dry friction each bring some; the share that each is of it is then of the whole.
         rig = rig._replace(**{**e.parameters, "coulomb": rig.coulomb + e.parameters.get("coulomb", 0.0)})
-    before = round(settle / SAMPLE)
+    before, settle = round(stepping.settle / SAMPLE), stepping.settle
     # Its clock begins with the recording.
     phase = rig.shake_phase - TURN * rig.shake_frequency * settle
     rig = rig._replace(load_time=rig.load_time + settle, shake_phase=phase, clock=settle)
     command = np.concatenate([np.zeros(before), duty])
-    white = np.random.default_rng(seed).standard_normal(len(command) + 1) * rig.noise / sqrt(SAMPLE) * float(noise)
+    white = np.zeros(len(command) + 1)
+    if seed is not None:
+        white = np.random.default_rng(seed).standard_normal(len(command) + 1) * rig.noise / sqrt(SAMPLE)
     keep = exp(-SAMPLE / rig.noise_time)
-    track = _play(rig, command, lfilter([1.0 - keep], [1.0, -keep], white), substeps)[before:]
+    track = _play(rig, command, lfilter([1.0 - keep], [1.0, -keep], white), stepping.substeps)[before:]
     shown = track[:, 0] + rig.eccentricity * np.sin(track[:, 0] + rig.eccentricity_phase)
     per_turn = int(rig.counts_per_revolution)
     counts = np.floor(shown * per_turn / TURN + rig.encoder_phase).astype(np.int64)

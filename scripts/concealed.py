@@ -56,6 +56,50 @@ def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
+@dataclass(frozen=True)
+class Drawing:
+    """What the numbers of one effect are drawn from: the rig, the effect's size, and chance.
+
+    `duration` (s) is of the recording.
+    """
+
+    rng: np.random.Generator
+    rig: Any
+    size: float
+    duration: float
+
+    @property
+    def torque(self) -> float:
+        """That of the effect: its size is the share of the drive's torque at 50 % duty."""
+        return self.size * float(self.rig.half_torque)
+
+    @property
+    def speed(self) -> float:
+        """Of the rig in steady running at 50 % duty, rad/s."""
+        return float(self.rig.half_speed)
+
+    @property
+    def reach(self) -> float:
+        """The angle (rad) either way that the axis is sure to come by again and again."""
+        return min(0.5 * self.speed, np.pi)
+
+    def between(self, low: float, high: float) -> float:
+        return float(self.rng.uniform(low, high))
+
+    def log_uniform(self, low: float, high: float) -> float:
+        return log_uniform(self.rng, low, high)
+
+    def phase(self) -> float:
+        return self.between(-np.pi, np.pi)
+
+    def either(self) -> float:
+        """Forwards or in reverse: 1 or -1."""
+        return float(self.rng.choice([-1.0, 1.0]))
+
+    def one_of(self, *names: str) -> str:
+        return str(self.rng.choice(names))
+
+
 def _carriers(effects: Sequence[Concealed]) -> list[Concealed]:
     return [e.carrier for e in effects if e.carrier is not None]
 
@@ -68,30 +112,6 @@ def _travel(position: Array, time: Array, window: float) -> Array:
 
 def _size(change: Array) -> float:
     return float(np.sqrt(np.mean(change**2)))
-
-
-def visibility(
-    simulate: Callable[..., Any],
-    rig: Any,
-    effects: Sequence[Concealed],
-    time: Array,
-    duty: Array,
-    seed: int,
-    window: float = 0.5,
-) -> float:
-    """How much more the effects change than noise does: RMS change of the travel per window, in counts,
-    over the same for another seed of the noise. Runs are not restarted at each window, so above ten or so it
-    only says "plain to see".
-    """
-    carriers = _carriers(effects)
-    plain = simulate(rig, carriers, time, duty, seed).counts
-    other = simulate(rig, carriers, time, duty, seed + 1).counts
-    changed = simulate(rig, effects, time, duty, seed).counts
-
-    def travel_change(counts: NDArray[np.int64]) -> float:
-        return _size(_travel((counts - plain).astype(float), time, window))
-
-    return travel_change(changed) / max(travel_change(other), 0.5)
 
 
 def _grown(effects: Sequence[Concealed], ratios: Iterator[float]) -> list[Concealed]:
@@ -119,6 +139,11 @@ class Trip:
     seed: int
     window: float = 0.5
 
+    def counts(self, rig: Any, effects: Sequence[Concealed], seed: int) -> NDArray[np.int64]:
+        """Of the encoder, at every stamp."""
+        counts: NDArray[np.int64] = self.simulate(rig, effects, self.time, self.duty, seed).counts
+        return counts
+
     def travel(self, rig: Any, effects: Sequence[Concealed], seed: int) -> Array:
         """In counts."""
         shown = self.simulate(rig, effects, self.time, self.duty, seed).shown
@@ -145,6 +170,22 @@ class Trip:
             left, np.ones(len(most)), bounds=(0.01, most), x_scale="jac", diff_step=1e-3, ftol=FAIR, max_nfev=ROUNDS
         )  # fmt: skip
         return _size(found.fun)
+
+
+def visibility(trip: Trip, rig: Any, effects: Sequence[Concealed]) -> float:
+    """How much more the effects change than noise does: RMS change of the travel per window, in counts,
+    over the same for another seed of the noise. Runs are not restarted at each window, so above ten or so it
+    only says "plain to see".
+    """
+    carriers = _carriers(effects)
+    plain = trip.counts(rig, carriers, trip.seed)
+    other = trip.counts(rig, carriers, trip.seed + 1)
+    changed = trip.counts(rig, effects, trip.seed)
+
+    def travel_change(counts: NDArray[np.int64]) -> float:
+        return _size(_travel((counts - plain).astype(float), trip.time, trip.window))
+
+    return travel_change(changed) / max(travel_change(other), 0.5)
 
 
 def unabsorbed(trip: Trip, rig: Any, effects: Sequence[Concealed], beside: Sequence[Concealed] = ()) -> float:

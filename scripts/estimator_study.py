@@ -42,7 +42,10 @@ METHODS = ("paper, speeds", "paper, positions", "joint")
 DUTIES = ("dead_band_forward", "dead_band_reverse")  # errors in duty, not relative
 #: MuJoCo's own step, s. At the usual one, where teeth bounce for long, positions are wrong by a count and more
 #: within seconds, which an estimator of this kind sees; at this one by a quarter of that.
-FINER: dict[str, dict[str, float]] = {n: {"step": 5e-5} if n == "mujoco" else {} for n in SIMULATORS}
+FINER: dict[str, dict[str, Any]] = {
+    name: {"stepping": simulator.Stepping(step=5e-5)} if name == "mujoco" else {}
+    for name, simulator in SIMULATORS.items()
+}
 Estimate = tuple[float, float, float, float]  # value, standard error, ends of the interval (NaN: by the error)
 NORMAL_MEDIAN = 0.6745  # of the absolute value of a standard normal
 

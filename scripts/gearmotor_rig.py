@@ -8,12 +8,12 @@ stamps say) the drive takes a duty and the encoder on the link is read.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from concealed import Concealed, log_uniform, together
+from concealed import Concealed, Drawing, log_uniform, together
 from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import lfilter
@@ -314,71 +314,174 @@ def draw_rig(rng: np.random.Generator) -> Rig:
 
 # ---- effects ----
 
+Parameters = dict[str, float]
 
-def _sides(rng: np.random.Generator, name: str, torque: float) -> dict[str, float]:
+
+@dataclass(frozen=True)
+class _Drawing(Drawing):
+    turn: float  # an angle, rad
+    sign: float
+
+    @property
+    def most(self) -> float:
+        """The drive's torque (N m at the link) at 50 % duty."""
+        return float(self.rig._half_torque)
+
+    @property
+    def torque(self) -> float:
+        """That of the effect, N m at the link."""
+        return self.size * self.most
+
+
+def _sides(d: _Drawing, name: str, torque: float) -> Parameters:
     """A torque (N m at the link) shared at random between motor and link; often all of it acts at one."""
-    at_motor = float(np.clip(rng.uniform(-0.3, 1.3), 0.0, 1.0))
+    at_motor = float(np.clip(d.rng.uniform(-0.3, 1.3), 0.0, 1.0))
     return {f"{name}_motor": at_motor * torque, f"{name}_link": (1.0 - at_motor) * torque}
 
 
-def _dry(rng: np.random.Generator, torque: float, half: float, name: str) -> tuple[dict[str, float], Concealed]:
-    """Dry friction that varies by `torque` (N m) in all, as torques named so, and the plain part of it."""
+def _in_dry(d: _Drawing, name: str) -> tuple[Parameters, Parameters]:
+    """Dry friction that varies by the effect's torque in all, as torques named so, and the plain part of it."""
     # It is 1 to 3.3 times what varies, but no more than the drive can move.
-    level = torque / float(rng.uniform(min(max(0.3, torque / (0.35 * half)), 1.0), 1.0))
-    varying = _sides(rng, name, torque)
-    scale = level / torque if torque > 0.0 else 0.0
+    level = d.torque / d.between(min(max(0.3, d.torque / (0.35 * d.most)), 1.0), 1.0)
+    varying = _sides(d, name, d.torque)
+    scale = level / d.torque if d.torque > 0.0 else 0.0
     plain = {"dry_motor": scale * varying[f"{name}_motor"], "dry_link": scale * varying[f"{name}_link"]}
-    return varying | plain, Concealed("coulomb_friction", plain)
+    return varying | plain, plain
 
 
-def _thermal(rng: np.random.Generator, rig: Rig, kelvin: float, duration: float) -> dict[str, float]:
-    """Heating by that much until the end of a recording in which the drive works hard."""
+def _friction_asymmetry(d: _Drawing) -> tuple[Parameters, Parameters]:
+    values, plain = _in_dry(d, "asymmetry")
+    return values | {name: d.sign * values[name] for name in ("asymmetry_motor", "asymmetry_link")}, plain
+
+
+def _position_dependent_friction(d: _Drawing) -> tuple[Parameters, Parameters]:
+    values, plain = _in_dry(d, "turn")
+    return values | {"turn_phase": d.turn, "turn_second": d.between(0.0, 0.2)}, plain
+
+
+def _stribeck_friction(d: _Drawing) -> tuple[Parameters, Parameters]:
+    values, plain = _in_dry(d, "stribeck")
+    speed = d.speed * d.log_uniform(0.03, 0.25)
+    return values | {"stribeck_speed": speed, "stribeck_exponent": float(d.rng.integers(1, 3))}, plain
+
+
+def _thermal_fade(d: _Drawing) -> Parameters:
+    """Heating, by 200 K times the size until the end of a recording in which the drive works hard."""
+    rig, kelvin = d.rig, 200.0 * d.size
     stall = rig.supply * 0.5 / rig.resistance
     emf = rig.motor_constant * rig.ratio * rig.half_speed / rig.resistance
     power = rig.resistance * ((stall - emf) ** 2 + 0.1 * stall**2)  # some reversals on top of steady running
-    cooling = 1.0 / (duration * log_uniform(rng, 0.3, 3.0))
-    heating = kelvin * cooling / (power * -math.expm1(-cooling * duration))
-    if rng.uniform() < 0.3:  # the bridge folds back
-        hot = {"heat_resistance": 0.0, "heat_flux": 0.0, "heat_drive": float(rng.uniform(0.002, 0.005))}
+    cooling = 1.0 / (d.duration * d.log_uniform(0.3, 3.0))
+    heating = kelvin * cooling / (power * -math.expm1(-cooling * d.duration))
+    if d.rng.uniform() < 0.3:  # the bridge folds back
+        hot = {"heat_resistance": 0.0, "heat_flux": 0.0, "heat_drive": d.between(0.002, 0.005)}
     else:  # copper resists more, magnets weaken
-        hot = {"heat_resistance": COPPER, "heat_flux": float(rng.uniform(0.0005, 0.002)), "heat_drive": 0.0}
+        hot = {"heat_resistance": COPPER, "heat_flux": d.between(0.0005, 0.002), "heat_drive": 0.0}
     return {"heating": heating, "cooling": cooling} | hot
 
 
-def _joint(rng: np.random.Generator, rig: Rig, size: float) -> dict[str, float]:
+def _joint_elasticity(d: _Drawing) -> Parameters:
     """A shaft behind the output wheel; its compliance grows with the size: 3 Hz at 0.3."""
-    hub = float(rng.uniform(0.1, 0.25)) * rig.link_inertia
+    rig = d.rig
+    hub = d.between(0.1, 0.25) * rig.link_inertia
     near, far = rig.inertia - rig.link_inertia + hub, rig.link_inertia - hub
     reduced = near * far / (near + far)
-    ratio = log_uniform(rng, 0.02, 0.1)
+    ratio = d.log_uniform(0.02, 0.1)
     softest = 1.0 / (reduced * (2.0 * math.pi * 3.0) ** 2)
-    compliance = softest * size / 0.3
-    damping = 2.0 * ratio * math.sqrt(reduced / compliance) if size > 0.0 else 0.0
+    compliance = softest * d.size / 0.3
+    damping = 2.0 * ratio * math.sqrt(reduced / compliance) if d.size > 0.0 else 0.0
     return {"joint_compliance": compliance, "joint_damping": damping, "joint_hub": hub}
 
 
-def _stop(rng: np.random.Generator, rig: Rig, size: float) -> dict[str, float]:
+def _end_stop(d: _Drawing) -> Parameters:
     """A stiff stop, the nearer the larger the size, above, below or both; none at size 0."""
-    reach, side = rig.half_speed * (0.3 / max(size, 1e-9)) ** 0.25, int(rng.integers(5))  # three of five have both
-    upper, lower = (log_uniform(rng, 0.1, 0.8) * reach for _ in range(2))
-    stiffness = rig.inertia * (2.0 * math.pi * log_uniform(rng, 5.0, 20.0)) ** 2 if size > 0.0 else 0.0
-    bounce = float(rng.uniform(0.2, 0.7))
+    reach, side = d.speed * (0.3 / max(d.size, 1e-9)) ** 0.25, int(d.rng.integers(5))  # three of five have both
+    upper, lower = (d.log_uniform(0.1, 0.8) * reach for _ in range(2))
+    stiffness = d.rig.inertia * (2.0 * math.pi * d.log_uniform(5.0, 20.0)) ** 2 if d.size > 0.0 else 0.0
+    bounce = d.between(0.2, 0.7)
     return {
         "stop_upper_stiffness": 0.0 if side == 1 else stiffness,
         "stop_upper_angle": upper,
         "stop_lower_stiffness": 0.0 if side == 2 else stiffness,
         "stop_lower_angle": -lower,
-        "stop_loss": 1.5 * (1.0 - bounce) / rig.half_speed,
+        "stop_loss": 1.5 * (1.0 - bounce) / d.speed,
     }
 
 
-def _rider(rng: np.random.Generator, inertia: float) -> dict[str, float]:
-    """A liquid that the walls drag along, or something on a spring; of that inertia, kg m^2."""
-    rate = 2.0 * math.pi * log_uniform(rng, 0.8, 8.0)
-    if rng.random() < 0.3:
-        return {"rider_inertia": inertia, "rider_damping": inertia * log_uniform(rng, 1.0, 6.0)}
-    damping = 2.0 * log_uniform(rng, 0.03, 0.3) * rate * inertia
+def _flexible_load(d: _Drawing) -> Parameters:
+    """A liquid that the walls drag along, or something on a spring."""
+    inertia = 2.0 * d.size * d.rig.inertia
+    rate = 2.0 * math.pi * d.log_uniform(0.8, 8.0)
+    if d.rng.random() < 0.3:
+        return {"rider_inertia": inertia, "rider_damping": inertia * d.log_uniform(1.0, 6.0)}
+    damping = 2.0 * d.log_uniform(0.03, 0.3) * rate * inertia
     return {"rider_inertia": inertia, "rider_stiffness": inertia * rate**2, "rider_damping": damping}
+
+
+def _load_change(d: _Drawing) -> Parameters:
+    added = d.rig.link_inertia * ((1.0 + 3.0 * d.size) ** d.sign - 1.0)
+    return {"load_added": added, "load_time": d.duration * d.between(0.3, 0.7)}
+
+
+def _load_dependent_friction(d: _Drawing) -> Parameters:
+    # The torque that passes the teeth as the drive speeds up is the link's share of it.
+    return _sides(d, "efficiency", d.size * d.rig.inertia / d.rig.link_inertia)
+
+
+def _motor_lag(d: _Drawing) -> Parameters:
+    return {"lag_time": 0.2 * d.size, "lag_place": float(d.rng.choice([COMMAND_LAG, VOLTAGE_LAG, WINDING_LAG]))}
+
+
+def _torque_ripple(d: _Drawing) -> Parameters:
+    sides = _sides(d, "ripple", d.torque)
+    order, second = float(d.rng.integers(4, 25)), d.between(0.0, 0.3)
+    return sides | {"ripple_order": order, "ripple_phase": d.turn, "ripple_second": second}
+
+
+_EFFECTS: dict[str, Callable[[_Drawing], Parameters]] = {
+    "constant_offset": lambda d: _sides(d, "offset", d.sign * d.torque),
+    "coulomb_friction": lambda d: _sides(d, "dry", d.torque),
+    "detent": lambda d: {
+        "detent_torque": d.torque, "detent_angle": d.turn, "detent_width": math.radians(d.log_uniform(5.0, 20.0))},
+    "disturbance_pulse": lambda d: {
+        "pulse": d.sign * d.torque, "pulse_start": d.duration * d.between(0.1, 0.7),
+        "pulse_length": d.duration * d.between(0.05, 0.2)},
+    "drive_saturation": lambda d: {"clip": 40.0 * (0.3 / d.size) ** 0.4 if d.size > 0.0 else 0.0},
+    "encoder_eccentricity": lambda d: {"eccentricity": 0.1 * d.size, "eccentricity_phase": d.turn},
+    "end_stop": _end_stop,
+    "flexible_load": _flexible_load,
+    "friction_run_in": lambda d: {"run_in": d.torque, "run_in_time": d.duration * d.between(0.05, 0.3)},
+    "gravity": lambda d: {"gravity_torque": d.torque, "gravity_angle": d.turn},
+    "input_delay": lambda d: {"delay": 0.1 * d.size},
+    "joint_elasticity": _joint_elasticity,
+    "load_change": _load_change,
+    "load_dependent_friction": _load_dependent_friction,
+    "motor_lag": _motor_lag,
+    "periodic_disturbance": lambda d: {
+        "outside_torque": d.torque, "outside_frequency": d.log_uniform(0.3, 6.0), "outside_phase": d.turn},
+    "presliding_friction": lambda d: {"bristle": d.torque, "bristle_travel": d.log_uniform(0.02, 0.08)},
+    "quadratic_drag": lambda d: _sides(d, "drag", d.torque / d.speed**2),
+    "spring": lambda d: {"spring_rate": d.torque / d.speed, "spring_angle": d.between(-0.2, 0.2) * d.speed},
+    "sticky_sector": lambda d: {
+        "sector": d.torque, "sector_angle": d.reach * d.between(-1.0, 1.0), "sector_half": d.between(0.15, 0.5)},
+    "supply_sag": lambda d: {
+        "source_resistance": d.size * d.rig.resistance, "source_time": d.log_uniform(1e-3, 5e-2)},
+    "thermal_fade": _thermal_fade,
+    "torque_ripple": _torque_ripple,
+    "viscous_asymmetry": lambda d: {"slant": 1.5 * d.sign * d.torque / d.speed},
+    "other_damaged_tooth": lambda d: {
+        "tooth_gap": 0.4 * d.size, "tooth_angle": d.turn, "tooth_width": math.radians(d.log_uniform(5.0, 20.0))},
+    "other_freewheel": lambda d: {"bridge_open": min(d.size / 0.3, 1.0)},
+    "other_friction_hump": lambda d: {
+        "hump_torque": d.torque, "hump_speed": d.speed * d.between(0.3, 0.8),
+        "hump_width": d.speed * d.between(0.06, 0.15)},
+}  # fmt: skip
+# Parts of dry friction: their numbers with those of the plain friction, and the latter alone.
+_IN_DRY_FRICTION: dict[str, Callable[[_Drawing], tuple[Parameters, Parameters]]] = {
+    "friction_asymmetry": _friction_asymmetry,
+    "position_dependent_friction": _position_dependent_friction,
+    "stribeck_friction": _stribeck_friction,
+}
 
 
 def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, duration: float = 60.0) -> Concealed:
@@ -392,88 +495,14 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
 
     Raises ValueError for an id that is not known.
     """
-    half = rig._half_torque
-    torque, turn = size * half, float(rng.uniform(-math.pi, math.pi))
-    sign = float(rng.choice([-1.0, 1.0]))
-    inertia, speed = rig.inertia, rig.half_speed
-    carrier = None
-    match id:
-        case "constant_offset":
-            values = _sides(rng, "offset", sign * torque)
-        case "coulomb_friction":
-            values = _sides(rng, "dry", torque)
-        case "drive_saturation":
-            values = {"clip": 40.0 * (0.3 / size) ** 0.4 if size > 0.0 else 0.0}
-        case "encoder_eccentricity":
-            values = {"eccentricity": 0.1 * size, "eccentricity_phase": turn}
-        case "end_stop":
-            values = _stop(rng, rig, size)
-        case "flexible_load":
-            values = _rider(rng, 2.0 * size * inertia)
-        case "friction_asymmetry":
-            values, carrier = _dry(rng, torque, half, "asymmetry")
-            values |= {name: sign * values[name] for name in ("asymmetry_motor", "asymmetry_link")}
-        case "friction_run_in":
-            values = {"run_in": torque, "run_in_time": duration * float(rng.uniform(0.05, 0.3))}
-        case "presliding_friction":
-            values = {"bristle": torque, "bristle_travel": log_uniform(rng, 0.02, 0.08)}
-        case "sticky_sector":
-            middle = min(0.5 * speed, math.pi) * float(rng.uniform(-1.0, 1.0))
-            values = {"sector": torque, "sector_angle": middle, "sector_half": float(rng.uniform(0.15, 0.5))}
-        case "disturbance_pulse":
-            values = {"pulse": sign * torque, "pulse_start": duration * float(rng.uniform(0.1, 0.7))}
-            values |= {"pulse_length": duration * float(rng.uniform(0.05, 0.2))}
-        case "viscous_asymmetry":
-            values = {"slant": 1.5 * sign * torque / speed}
-        case "gravity":
-            values = {"gravity_torque": torque, "gravity_angle": turn}
-        case "input_delay":
-            values = {"delay": 0.1 * size}
-        case "joint_elasticity":
-            values = _joint(rng, rig, size)
-        case "load_change":
-            added = rig.link_inertia * ((1.0 + 3.0 * size) ** sign - 1.0)
-            values = {"load_added": added, "load_time": duration * float(rng.uniform(0.3, 0.7))}
-        case "load_dependent_friction":
-            # The torque that passes the teeth as the drive speeds up is the link's share of it.
-            values = _sides(rng, "efficiency", size * inertia / rig.link_inertia)
-        case "motor_lag":
-            values = {"lag_time": 0.2 * size, "lag_place": float(rng.choice([COMMAND_LAG, VOLTAGE_LAG, WINDING_LAG]))}
-        case "periodic_disturbance":
-            values = {"outside_torque": torque, "outside_frequency": log_uniform(rng, 0.3, 6.0), "outside_phase": turn}
-        case "position_dependent_friction":
-            values, carrier = _dry(rng, torque, half, "turn")
-            values |= {"turn_phase": turn, "turn_second": float(rng.uniform(0.0, 0.2))}
-        case "quadratic_drag":
-            values = _sides(rng, "drag", torque / speed**2)
-        case "spring":
-            values = {"spring_rate": torque / speed, "spring_angle": float(rng.uniform(-0.2, 0.2)) * speed}
-        case "stribeck_friction":
-            values, carrier = _dry(rng, torque, half, "stribeck")
-            values |= {"stribeck_speed": speed * log_uniform(rng, 0.03, 0.25)}
-            values |= {"stribeck_exponent": float(rng.integers(1, 3))}
-        case "supply_sag":
-            values = {"source_resistance": size * rig.resistance, "source_time": log_uniform(rng, 1e-3, 5e-2)}
-        case "thermal_fade":
-            values = _thermal(rng, rig, 200.0 * size, duration)
-        case "torque_ripple":
-            values = _sides(rng, "ripple", torque)
-            values |= {"ripple_order": float(rng.integers(4, 25)), "ripple_phase": turn}
-            values |= {"ripple_second": float(rng.uniform(0.0, 0.3))}
-        case "other_damaged_tooth":
-            width = math.radians(log_uniform(rng, 5.0, 20.0))
-            values = {"tooth_gap": 0.4 * size, "tooth_angle": turn, "tooth_width": width}
-        case "detent":
-            width = math.radians(log_uniform(rng, 5.0, 20.0))
-            values = {"detent_torque": torque, "detent_angle": turn, "detent_width": width}
-        case "other_freewheel":
-            values = {"bridge_open": min(size / 0.3, 1.0)}
-        case "other_friction_hump":
-            values = {"hump_torque": torque, "hump_speed": speed * float(rng.uniform(0.3, 0.8))}
-            values |= {"hump_width": speed * float(rng.uniform(0.06, 0.15))}
-        case _:
-            raise ValueError(f"no effect {id!r}; there are {', '.join((*VOCABULARY, *OUTSIDE))}")
-    return Concealed(id, {name: float(value) for name, value in values.items()}, carrier)
+    turn, sign = float(rng.uniform(-math.pi, math.pi)), float(rng.choice([-1.0, 1.0]))
+    drawing = _Drawing(rng, rig, size, duration, turn, sign)
+    if id in _IN_DRY_FRICTION:
+        values, plain = _IN_DRY_FRICTION[id](drawing)
+        return Concealed(id, values, Concealed("coulomb_friction", plain))
+    if id in _EFFECTS:
+        return Concealed(id, _EFFECTS[id](drawing))
+    raise ValueError(f"no effect {id!r}; there are {', '.join((*VOCABULARY, *OUTSIDE))}")
 
 
 # ---- running it ----
@@ -531,19 +560,35 @@ def _held(speed: float, change: float, limit: float) -> float:
     return 0.0
 
 
+class _Dry(NamedTuple):
+    """Dry friction of one body, N m."""
+
+    level: float
+    asymmetry: float
+    stribeck: float
+    turn: float
+    efficiency: float  # of what passes the teeth
+
+
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _dry_torque(
-    free: float, speed: float, angle: float, passed: float, dry: float, asymmetry: float, stribeck: float,
-    turn: float, efficiency: float, p: _Plant,
-) -> float:  # fmt: skip
+def _dry_torque(dry: _Dry, free: float, speed: float, angle: float, passed: float, p: _Plant) -> float:
     """The most that dry friction takes (N m) of a body that would go on at `free` (rad/s); teeth pass `passed`."""
-    torque = dry + (asymmetry if free > 0.0 else -asymmetry) + efficiency * abs(passed)
-    if stribeck > 0.0:
-        torque += stribeck * math.exp(-((abs(speed) / p.stribeck_speed) ** p.stribeck_exponent))
-    if turn > 0.0:
+    torque = dry.level + (dry.asymmetry if free > 0.0 else -dry.asymmetry) + dry.efficiency * abs(passed)
+    if dry.stribeck > 0.0:
+        torque += dry.stribeck * math.exp(-((abs(speed) / p.stribeck_speed) ** p.stribeck_exponent))
+    if dry.turn > 0.0:
         wave = math.sin(angle + p.turn_phase) + p.turn_second * math.sin(2.0 * angle)
-        torque += turn * wave / (1.0 + p.turn_second)
+        torque += dry.turn * wave / (1.0 + p.turn_second)
     return max(torque, 0.0)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _link_dry(link: float, t: float, p: _Plant) -> _Dry:
+    """That of the link at an angle (rad), `t` (s) into the recording."""
+    level = p.dry_link + p.run_in * math.exp(-t / p.run_in_time)
+    if abs(_wrapped(link - p.sector_angle)) < p.sector_half:
+        level += p.sector
+    return _Dry(level, p.asymmetry_link, p.stribeck_link, p.turn_link, p.efficiency_link)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -580,62 +625,105 @@ def _ripple(angle: float, p: _Plant) -> float:
     return math.sin(phase) + p.ripple_second * math.sin(2.0 * phase)
 
 
+class _Step(NamedTuple):
+    """How long a step is, s, and what share of a change each delay of first order lets pass within it."""
+
+    length: float
+    winding: float
+    lag: float
+    source: float
+
+
+class _Electric(NamedTuple):
+    """What the drive keeps from one step to the next."""
+
+    filtered: float  # duty (%) or share of the supply, by where the lag sits
+    bus: float  # V
+    current: float  # A
+    temperature: float  # K above the start
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _steps(span: float, p: _Plant) -> tuple[int, _Step]:
+    """How many steps lie between two stamps that are `span` (s) apart, and what each is like."""
+    steps = max(math.ceil(span / STEP - 1e-6), 1)
+    h = span / steps
+    winding_time = p.lag_time if p.lag_time > 0.0 and p.lag_place == WINDING_LAG else p.winding_time
+    winding = 1.0 - math.exp(-h / winding_time)
+    lag = 1.0 - math.exp(-h / p.lag_time) if p.lag_time > 0.0 else 0.0
+    source = 1.0 - math.exp(-h / p.source_time) if p.source_resistance > 0.0 else 0.0
+    return steps, _Step(h, winding, lag, source)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _drive(e: _Electric, duty: float, motor_speed: float, step: _Step, p: _Plant) -> tuple[_Electric, float]:
+    """The drive after a step at a duty (%), and the torque (N m) of its current."""
+    filtered, bus = e.filtered, e.bus
+    # Duty: register, clip, command filter, dead time, output filter.
+    asked = math.floor(duty * 0.01 * p.pwm_steps + 0.5) / (0.01 * p.pwm_steps)
+    if p.clip > 0.0:
+        asked = min(max(asked, -p.clip), p.clip)
+    if step.lag > 0.0 and p.lag_place == COMMAND_LAG:
+        filtered += step.lag * (asked - filtered)
+        asked = filtered
+    on = _bridge(asked, p)
+    switching = on != 0.0
+    if step.lag > 0.0 and p.lag_place == VOLTAGE_LAG:
+        filtered += step.lag * (on - filtered)
+        on = filtered
+    # Current.
+    resistance = p.resistance * (1.0 + p.heat_resistance * e.temperature)
+    constant = p.constant * (1.0 - p.heat_flux * e.temperature)
+    if p.source_resistance > 0.0:
+        bus += step.source * (p.supply - p.source_resistance * on * e.current - bus)
+    emf = constant * motor_speed
+    if p.bridge_open > 0.0 and not switching:
+        emf *= 1.0 - p.bridge_open
+    voltage = on * bus * (1.0 - p.heat_drive * e.temperature)
+    current = e.current + step.winding * ((voltage - emf) / resistance - e.current)
+    temperature = e.temperature
+    if p.heating > 0.0:
+        temperature += step.length * (p.heating * resistance * current * current - p.cooling * temperature)
+    return _Electric(filtered, bus, current, temperature), constant * current
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _bristle(bend: float, motor_speed: float, h: float, p: _Plant) -> tuple[float, float]:
+    """The bend (of the travel) after a step of h (s), and the torque (N m) that it takes of the motor."""
+    # An implicit step: the bend that the speed at its end would leave.
+    bend = (bend + h * motor_speed / p.bristle_travel) / (1.0 + h * abs(motor_speed) / p.bristle_travel)
+    stiff = p.bristle / p.bristle_travel
+    rate = motor_speed - abs(motor_speed) * bend
+    return bend, p.bristle * bend + 0.5 * math.sqrt(stiff * p.motor_inertia) * rate
+
+
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _run(time: Array, duty: Array, motor_noise: Array, link_noise: Array, p: _Plant) -> Array:
     """Link angle, its speed, motor angle (at the link) and current at the stamps, (n, 4)."""
     n = time.size
     out = np.zeros((n, 4))
     motor, wheel, link = p.gap_start * p.backlash_gap, 0.0, 0.0
-    motor_speed = wheel_speed = link_speed = 0.0
-    current = temperature = filtered = rider = rider_speed = bend = 0.0
-    bus = p.supply
+    motor_speed = wheel_speed = link_speed = rider = rider_speed = bend = 0.0
+    electric = _Electric(0.0, p.supply, 0.0, 0.0)
+    motor_dry = _Dry(p.dry_motor, p.asymmetry_motor, p.stribeck_motor, p.turn_motor, p.efficiency_motor)
     flexible = p.joint_compliance > 0.0
-    winding_time = p.lag_time if p.lag_time > 0.0 and p.lag_place == WINDING_LAG else p.winding_time
     due = -1  # the stamp whose duty has arrived at the drive
     for k in range(n):
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = link, link_speed, motor, current
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = link, link_speed, motor, electric.current
         if k == n - 1:
             break
-        steps = max(math.ceil((time[k + 1] - time[k]) / STEP - 1e-6), 1)
-        h = (time[k + 1] - time[k]) / steps
-        winding = 1.0 - math.exp(-h / winding_time)
-        lag = 1.0 - math.exp(-h / p.lag_time) if p.lag_time > 0.0 else 0.0
-        source = 1.0 - math.exp(-h / p.source_time) if p.source_resistance > 0.0 else 0.0
+        steps, step = _steps(time[k + 1] - time[k], p)
+        h = step.length
         for j in range(steps):
             t = time[k] + j * h
-            # Duty: register, clip, command filter, dead time, output filter.
             while due + 1 < n and time[due + 1] + p.delay <= t + 1e-9:
                 due += 1
-            asked = math.floor(duty[due] * 0.01 * p.pwm_steps + 0.5) / (0.01 * p.pwm_steps) if due >= 0 else 0.0
-            if p.clip > 0.0:
-                asked = min(max(asked, -p.clip), p.clip)
-            if lag > 0.0 and p.lag_place == COMMAND_LAG:
-                filtered += lag * (asked - filtered)
-                asked = filtered
-            on = _bridge(asked, p)
-            switching = on != 0.0
-            if lag > 0.0 and p.lag_place == VOLTAGE_LAG:
-                filtered += lag * (on - filtered)
-                on = filtered
-            # Current.
-            resistance = p.resistance * (1.0 + p.heat_resistance * temperature)
-            constant = p.constant * (1.0 - p.heat_flux * temperature)
-            if p.source_resistance > 0.0:
-                bus += source * (p.supply - p.source_resistance * on * current - bus)
-            emf = constant * motor_speed
-            if p.bridge_open > 0.0 and not switching:
-                emf *= 1.0 - p.bridge_open
-            voltage = on * bus * (1.0 - p.heat_drive * temperature)
-            current += winding * ((voltage - emf) / resistance - current)
-            if p.heating > 0.0:
-                temperature += h * (p.heating * resistance * current * current - p.cooling * temperature)
+            electric, torque = _drive(electric, duty[due] if due >= 0 else 0.0, motor_speed, step, p)
             # Torques.
             at = min(int((t - time[0]) / NOISE_STEP), motor_noise.size - 1)
             on_wheel, from_motor = _mesh(motor, wheel, motor_speed, wheel_speed, p)
-            ripple = 0.0
-            if p.ripple_motor > 0.0 or p.ripple_link > 0.0:
-                ripple = _ripple(wheel, p)
-            drive = constant * current * (1.0 + p.commutation * math.sin(p.commutator_order * motor))
+            ripple = _ripple(wheel, p) if p.ripple_motor > 0.0 or p.ripple_link > 0.0 else 0.0
+            drive = torque * (1.0 + p.commutation * math.sin(p.commutator_order * motor))
             drive += p.offset_motor + motor_noise[at] - from_motor + p.ripple_motor * ripple
             drive -= (p.motor_viscous + p.drag_motor * abs(motor_speed)) * motor_speed
             load = _field(link, link_speed, t, p) + link_noise[at] - p.link_viscous * link_speed
@@ -646,14 +734,9 @@ def _run(time: Array, duty: Array, motor_noise: Array, link_noise: Array, p: _Pl
                 rider_speed += h * drawn / p.rider_inertia
                 rider += h * rider_speed
             if p.bristle > 0.0:
-                # An implicit step: the bend (of the travel) that the speed at its end would leave.
-                bend = (bend + h * motor_speed / p.bristle_travel) / (1.0 + h * abs(motor_speed) / p.bristle_travel)
-                stiff = p.bristle / p.bristle_travel
-                rate = motor_speed - abs(motor_speed) * bend
-                drive -= p.bristle * bend + 0.5 * math.sqrt(stiff * p.motor_inertia) * rate
-            inertia = p.link_inertia
-            if t >= p.load_time:
-                inertia += p.load_added
+                bend, taken = _bristle(bend, motor_speed, h, p)
+                drive -= taken
+            inertia = p.link_inertia + (p.load_added if t >= p.load_time else 0.0)
             if flexible:
                 twist = (wheel - link) / p.joint_compliance + p.joint_damping * (wheel_speed - link_speed)
                 load += twist
@@ -663,19 +746,10 @@ def _run(time: Array, duty: Array, motor_noise: Array, link_noise: Array, p: _Pl
                 load += on_wheel
             # Speeds, then angles: dry friction takes what it needs to hold, at most what it has.
             change = h * drive / p.motor_inertia
-            held = _dry_torque(
-                motor_speed + change, motor_speed, wheel, from_motor, p.dry_motor, p.asymmetry_motor,
-                p.stribeck_motor, p.turn_motor, p.efficiency_motor, p,
-            )  # fmt: skip
+            held = _dry_torque(motor_dry, motor_speed + change, motor_speed, wheel, from_motor, p)
             motor_speed = _held(motor_speed, change, h * held / p.motor_inertia)
             change = h * load / inertia
-            dry = p.dry_link + p.run_in * math.exp(-(t - time[0]) / p.run_in_time)
-            if abs(_wrapped(link - p.sector_angle)) < p.sector_half:
-                dry += p.sector
-            held = _dry_torque(
-                link_speed + change, link_speed, link, from_motor, dry, p.asymmetry_link, p.stribeck_link,
-                p.turn_link, p.efficiency_link, p,
-            )  # fmt: skip
+            held = _dry_torque(_link_dry(link, t - time[0], p), link_speed + change, link_speed, link, from_motor, p)
             link_speed = _held(link_speed, change, h * held / inertia)
             motor += h * motor_speed
             link += h * link_speed
@@ -709,16 +783,16 @@ def _plant(rig: Rig, effects: Sequence[Concealed]) -> _Plant:
     return _Plant(**(as_it_is | at_link | values))
 
 
-def simulate(
-    rig: Rig, effects: Sequence[Concealed], time: Array, duty: Array, seed: int, noise: bool = True
-) -> Simulated:
+def simulate(rig: Rig, effects: Sequence[Concealed], time: Array, duty: Array, seed: int | None) -> Simulated:
     """The rig from rest with these effects: stamps (n,) in s, duty (n,) in %, held from each stamp to the next.
 
-    `seed` draws the process noise and nothing else. Raises ValueError for an effect that is not known or there twice.
+    `seed` draws the process noise and nothing else; None is none. Raises ValueError for an effect that is not known or
+    there twice.
     """
     plant = _plant(rig, effects)
     time, duty = np.ascontiguousarray(time, dtype=float), np.ascontiguousarray(duty, dtype=float)
-    motor_noise, link_noise = _noise(rig, time[-1] - time[0], seed) if noise else (np.zeros(1), np.zeros(1))
+    quiet = np.zeros(1), np.zeros(1)
+    motor_noise, link_noise = quiet if seed is None else _noise(rig, time[-1] - time[0], seed)
     link, velocity, motor, current = _run(time, duty, motor_noise, link_noise, plant).T.copy()
     shown = link + plant.eccentricity * np.sin(link + plant.eccentricity_phase)
     counts = np.floor(shown * rig.counts_per_revolution / (2.0 * math.pi) + rig.encoder_phase).astype(np.int64)

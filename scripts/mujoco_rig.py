@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass, replace
 from math import exp, inf, pi, sin, sqrt
 
 import numpy as np
-from concealed import Concealed, check
+from concealed import Concealed, Drawing, check
 from numpy.typing import NDArray
 
 try:
@@ -416,11 +416,88 @@ LINK: Laws = {
     "other_speed_hump": speed_hump,
     "other_cubic_spring": cubic_spring,
 }
-ELSEWHERE = ("input_delay", "end_stop", "joint_elasticity", "load_change", "encoder_eccentricity")
 
-EVERY = sorted({*DRIVE, *GAIN, *MOTOR, *FRICTION, *LINK, *ELSEWHERE})
-VOCABULARY = tuple(i for i in EVERY if not i.startswith("other_"))
-OUTSIDE = tuple(i for i in EVERY if i.startswith("other_"))
+# ---- effects ----
+
+
+def _friction_asymmetry(d: Drawing) -> Parameters:
+    forward, backward = (d.torque, 0.0) if d.rng.uniform() < 0.5 else (0.0, d.torque)
+    return {"forward": forward, "backward": backward}
+
+
+def _end_stop(d: Drawing) -> Parameters:
+    """One stop or two, nearer the larger the size; a stop that is not there lies far outside any travel."""
+    far = 1e6
+    reach = d.speed * 0.3 / d.size * d.rng.uniform(0.1, 0.3, 2) if d.size > 0.0 else np.array([far, far])
+    missing = d.rng.integers(0, 4)  # 0: none below, 1: none above, else both are there
+    return {
+        "low": -far if missing == 0 else -float(reach[0]),
+        "high": far if missing == 1 else float(reach[1]),
+        "stiffness": (TURN * d.between(15.0, 50.0)) ** 2,
+        "damping": d.between(0.1, 0.4),
+    }
+
+
+def _joint_elasticity(d: Drawing) -> Parameters:
+    frequency = min(3.0 * sqrt(0.3 / d.size), 60.0) if d.size > 0.0 else 0.0
+    return {"frequency": frequency, "damping": d.between(0.02, 0.2)}
+
+
+def _order(d: Drawing) -> float:
+    """How often something comes back in a turn."""
+    return float(d.rng.integers(4, 41))
+
+
+_EFFECTS: dict[str, Callable[[Drawing], Parameters]] = {
+    "constant_offset": lambda d: {"torque": d.torque * d.either()},
+    "coulomb_friction": lambda d: {"magnitude": d.torque},
+    "detent": lambda d: {
+        "torque": d.torque, "width": d.between(0.06, 0.2), "angle": d.reach * d.between(-1.0, 1.0)},
+    "disturbance_pulse": lambda d: {
+        "torque": d.torque * d.either(), "start": d.duration * d.between(0.1, 0.7),
+        "length": d.duration * d.between(0.05, 0.2)},
+    "drive_saturation": lambda d: {"limit": 100.0 * (1.0 - 2.0 * d.size)},
+    "encoder_eccentricity": lambda d: {"amplitude": 0.1 * d.size, "phase": d.phase()},
+    "end_stop": _end_stop,
+    "flexible_load": lambda d: {
+        "share": 2.0 * d.size, "frequency": 0.8 * 10.0 ** d.between(0.0, 1.0),
+        "damping": 0.03 * 10.0 ** d.between(0.0, 1.0)},
+    "friction_asymmetry": _friction_asymmetry,
+    "friction_run_in": lambda d: {"magnitude": d.torque, "time": d.duration * d.between(0.05, 0.3)},
+    "gravity": lambda d: {"gain": d.torque, "phase": d.phase()},
+    "input_delay": lambda d: {"time": 0.1 * d.size},
+    "joint_elasticity": _joint_elasticity,
+    "load_change": lambda d: {"factor": 1.0 + 2.0 * d.size * d.either(), "time": d.duration * d.between(0.3, 0.7)},
+    "load_dependent_friction": lambda d: {"share": d.size},
+    "motor_lag": lambda d: {"time": 0.2 * d.size},
+    "periodic_disturbance": lambda d: {
+        "gain": d.torque, "frequency": 0.5 * 30.0 ** d.between(0.0, 1.0), "phase": d.phase()},
+    "position_dependent_friction": lambda d: {"magnitude": d.torque, "phase": d.phase()},
+    "presliding_friction": lambda d: {"magnitude": d.torque, "give": d.between(0.02, 0.08)},
+    "quadratic_drag": lambda d: {"gain": d.torque / d.speed**2},
+    "spring": lambda d: {"stiffness": d.torque / pi, "rest": d.between(-0.5, 0.5)},
+    "sticky_sector": lambda d: {
+        "magnitude": d.torque, "middle": d.reach * d.between(-1.0, 1.0), "half": d.between(0.15, 0.5)},
+    "stribeck_friction": lambda d: {"magnitude": d.torque, "speed": d.speed * d.between(0.03, 0.15)},
+    "supply_sag": lambda d: {"resistance": d.size, "time": d.between(0.002, 0.01)},
+    "thermal_fade": lambda d: {"fade": d.size, "time": d.duration * d.between(0.15, 0.6)},
+    "torque_ripple": lambda d: {
+        "gain": d.torque, "order": _order(d), "phase": d.phase(), "at_motor": float(d.rng.integers(0, 2))},
+    "viscous_asymmetry": lambda d: {"slant": 1.5 * d.size * d.rig.viscous_friction * d.either()},
+    "other_angle_gain": lambda d: {"share": d.size, "phase": d.phase()},
+    "other_brake_coast": lambda d: {"damping": 5.0 * d.size * d.rig.viscous_friction},
+    "other_cubic_spring": lambda d: {
+        "stiffness": d.torque / max(d.speed, 1.0) ** 3, "flat": d.speed * d.between(0.1, 0.4)},
+    "other_duty_sign_cogging": lambda d: {
+        "gain": d.torque, "order": _order(d), "phase": d.phase(), "side": d.either()},
+    "other_speed_hump": lambda d: {
+        "torque": d.torque, "speed": d.speed * d.between(0.3, 0.7), "width": d.speed * d.between(0.05, 0.12)},
+    "other_warming_viscosity": lambda d: {
+        "damping": 3.0 * d.size * d.rig.viscous_friction, "time": d.duration * d.between(0.1, 0.4)},
+}  # fmt: skip
+
+VOCABULARY = tuple(sorted(i for i in _EFFECTS if not i.startswith("other_")))
+OUTSIDE = tuple(sorted(i for i in _EFFECTS if i.startswith("other_")))
 
 
 def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, duration: float = 60.0) -> Concealed:
@@ -431,118 +508,9 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
     60 ms, a delay of 30 ms, a coupling of 3 Hz, clipping at 40 % or an eccentricity of 30 mrad. Of a coupling the
     compliance is in proportion.
     """
-    torque = size * rig.half_torque
-    speed = rig.half_speed
-    reach = min(0.5 * speed, pi)  # what the axis is sure to come by again and again
-
-    def phase() -> float:
-        return float(rng.uniform(-pi, pi))
-
-    def between(low: float, high: float) -> float:
-        return float(rng.uniform(low, high))
-
-    def either() -> float:
-        return float(rng.choice([-1.0, 1.0]))
-
-    def order() -> float:
-        return float(rng.integers(4, 41))
-
-    draws: dict[str, Callable[[], Parameters]] = {
-        "coulomb_friction": lambda: {"magnitude": torque},
-        "stribeck_friction": lambda: {"magnitude": torque, "speed": speed * between(0.03, 0.15)},
-        "friction_asymmetry": lambda: dict(
-            zip(("forward", "backward"), (torque, 0.0) if rng.uniform() < 0.5 else (0.0, torque), strict=True)
-        ),
-        "position_dependent_friction": lambda: {"magnitude": torque, "phase": phase()},
-        "friction_run_in": lambda: {"magnitude": torque, "time": duration * between(0.05, 0.3)},
-        "sticky_sector": lambda: {
-            "magnitude": torque,
-            "middle": reach * between(-1.0, 1.0),
-            "half": between(0.15, 0.5),
-        },
-        "viscous_asymmetry": lambda: {"slant": 1.5 * size * rig.viscous_friction * either()},
-        "disturbance_pulse": lambda: {
-            "torque": torque * either(),
-            "start": duration * between(0.1, 0.7),
-            "length": duration * between(0.05, 0.2),
-        },
-        "load_dependent_friction": lambda: {"share": size},
-        "constant_offset": lambda: {"torque": torque * either()},
-        "quadratic_drag": lambda: {"gain": torque / speed**2},
-        "gravity": lambda: {"gain": torque, "phase": phase()},
-        "spring": lambda: {"stiffness": torque / pi, "rest": between(-0.5, 0.5)},
-        "torque_ripple": lambda: {
-            "gain": torque,
-            "order": order(),
-            "phase": phase(),
-            "at_motor": float(rng.integers(0, 2)),
-        },
-        "end_stop": lambda: _draw_end_stop(rng, rig, size),
-        "joint_elasticity": lambda: {
-            "frequency": min(3.0 * sqrt(0.3 / size), 60.0) if size > 0.0 else 0.0,
-            "damping": between(0.02, 0.2),
-        },
-        "motor_lag": lambda: {"time": 0.2 * size},
-        "input_delay": lambda: {"time": 0.1 * size},
-        "drive_saturation": lambda: {"limit": 100.0 * (1.0 - 2.0 * size)},
-        "supply_sag": lambda: {"resistance": size, "time": between(0.002, 0.01)},
-        "thermal_fade": lambda: {"fade": size, "time": duration * between(0.15, 0.6)},
-        "load_change": lambda: {"factor": 1.0 + 2.0 * size * either(), "time": duration * between(0.3, 0.7)},
-        "encoder_eccentricity": lambda: {"amplitude": 0.1 * size, "phase": phase()},
-        "periodic_disturbance": lambda: {
-            "gain": torque,
-            "frequency": 0.5 * 30.0 ** between(0.0, 1.0),
-            "phase": phase(),
-        },
-        "other_brake_coast": lambda: {"damping": 5.0 * size * rig.viscous_friction},
-        "detent": lambda: {
-            "torque": torque,
-            "width": between(0.06, 0.2),
-            "angle": reach * between(-1.0, 1.0),
-        },
-        "other_speed_hump": lambda: {
-            "torque": torque,
-            "speed": speed * between(0.3, 0.7),
-            "width": speed * between(0.05, 0.12),
-        },
-        "other_angle_gain": lambda: {"share": size, "phase": phase()},
-        "other_cubic_spring": lambda: {
-            "stiffness": torque / max(speed, 1.0) ** 3,
-            "flat": speed * between(0.1, 0.4),
-        },
-        "presliding_friction": lambda: {"magnitude": torque, "give": between(0.02, 0.08)},
-        "flexible_load": lambda: {
-            "share": 2.0 * size,
-            "frequency": 0.8 * 10.0 ** between(0.0, 1.0),
-            "damping": 0.03 * 10.0 ** between(0.0, 1.0),
-        },
-        "other_duty_sign_cogging": lambda: {
-            "gain": torque,
-            "order": order(),
-            "phase": phase(),
-            "side": either(),
-        },
-        "other_warming_viscosity": lambda: {
-            "damping": 3.0 * size * rig.viscous_friction,
-            "time": duration * between(0.1, 0.4),
-        },
-    }
-    if id not in draws:
+    if id not in _EFFECTS:
         raise ValueError(f"no effect {id!r}; there are {', '.join(VOCABULARY + OUTSIDE)}")
-    return Concealed(id, draws[id]())
-
-
-def _draw_end_stop(rng: np.random.Generator, rig: Rig, size: float) -> Parameters:
-    """One stop or two, nearer the larger the size; a stop that is not there lies far outside any travel."""
-    far = 1e6
-    reach = rig.half_speed * 0.3 / size * rng.uniform(0.1, 0.3, 2) if size > 0.0 else np.array([far, far])
-    missing = rng.integers(0, 4)  # 0: none below, 1: none above, else both are there
-    return {
-        "low": -far if missing == 0 else -float(reach[0]),
-        "high": far if missing == 1 else float(reach[1]),
-        "stiffness": (TURN * float(rng.uniform(15.0, 50.0))) ** 2,
-        "damping": float(rng.uniform(0.1, 0.4)),
-    }
+    return Concealed(id, _EFFECTS[id](Drawing(rng, rig, size, duration)))
 
 
 # ---- the MuJoCo model ----
@@ -553,6 +521,7 @@ class Machine:
     """A compiled MuJoCo model; degrees of freedom: motor 0, link 1 and, with an elastic coupling, gear 2."""
 
     model: mujoco.MjModel
+    step: float  # s
     inertia: tuple[float, ...]
     teeth_stiffness: float  # rad/s^2 per rad
     teeth_damping: float
@@ -614,7 +583,7 @@ def build(rig: Rig, parameters: dict[str, Parameters], step: float = STEP) -> Ma
         f'actuation="disable"/></option><worldbody>{"".join(bodies)}</worldbody>'
         f"<tendon>{''.join(tendons)}</tendon></mujoco>"
     )
-    return Machine(mujoco.MjModel.from_xml_string(text), inertia, stiffness, damping)
+    return Machine(mujoco.MjModel.from_xml_string(text), step, inertia, stiffness, damping)
 
 
 def _mean_duty(time: Array, duty: Array, at: Array, delay: float, step: float) -> Array:
@@ -631,38 +600,48 @@ def _mean_duty(time: Array, duty: Array, at: Array, delay: float, step: float) -
     return mean
 
 
+@dataclass(frozen=True)
+class Stepping:
+    """How a rig is simulated: s at zero duty before the recording, begun at angle zero, and the internal step, s."""
+
+    settle: float = SETTLE
+    step: float = STEP
+
+
+STEPPING = Stepping()
+
+
 def simulate(
     rig: Rig,
     effects: Sequence[Concealed],
     time: Array,
     duty: Array,
-    seed: int,
-    noise: bool = True,
-    settle: float = SETTLE,
-    step: float = STEP,
+    seed: int | None,
+    stepping: Stepping = STEPPING,
 ) -> Simulated:
     """Play `duty` (n,) in percent, held from stamp to stamp of `time` (n,), on the rig with its effects.
 
-    Before the first stamp the rig has stood for `settle` seconds at zero duty; it began that at angle zero.
+    `seed` draws the process noise; None is none.
     Raises ValueError for an effect that is not known or there twice, and for one with a state of its own at any step
     but the usual one.
     """
     time, duty = np.asarray(time, dtype=float), np.asarray(duty, dtype=float)
     check(effects, VOCABULARY + OUTSIDE)
-    parameters = {e.id: e.parameters for e in effects}
+    parameters, step = {e.id: e.parameters for e in effects}, stepping.step
     if effects and step != STEP:
         raise ValueError("effects with a state of their own know only the usual step")
 
     machine = build(rig, parameters, step)
-    before = round(settle / step)
+    before = round(stepping.settle / step)
     steps = before + int(np.ceil((time[-1] - time[0]) / step)) + 3
     # Half a step off, so that a duty that changes at a whole step changes between two kicks.
     at = (np.arange(steps) - before + 0.5) * step
     command = _mean_duty(time - time[0], duty, at, parameters.get("input_delay", {"time": 0.0})["time"], step)
-    rng = np.random.default_rng(seed)
-    process_noise = np.array([rig.motor_noise, rig.link_noise]) * (float(noise) / sqrt(step))
-    shaking = rng.standard_normal((steps, 2)) * process_noise
-    track = _run(rig, machine, parameters, at, command, shaking, step)
+    shaking = np.zeros((steps, 2))
+    if seed is not None:
+        process_noise = np.array([rig.motor_noise, rig.link_noise]) * (1.0 / sqrt(step))
+        shaking = np.random.default_rng(seed).standard_normal((steps, 2)) * process_noise
+    track = _run(rig, machine, parameters, at, command, shaking)
 
     # Column order: link angle, motor angle at the instant; link and motor speed half a step after; torque.
     stamps = time - time[0]
@@ -678,9 +657,8 @@ def simulate(
 
 
 def _run(
-    rig: Rig, machine: Machine, parameters: dict[str, Parameters], at: Array, command: Array, shaking: Array,
-    step: float,
-) -> Array:  # fmt: skip
+    rig: Rig, machine: Machine, parameters: dict[str, Parameters], at: Array, command: Array, shaking: Array
+) -> Array:
     """Step the engine through, adding what the laws say; rows as `simulate` reads them."""
     model = machine.model
     data = mujoco.MjData(model)
@@ -694,7 +672,7 @@ def _run(
     back_emf = BACK_EMF * rig.viscous_friction / rig.input_gain
     motor_part = rig.motor_friction_share
     half_gap, stiffness, damping = 0.5 * rig.backlash, machine.teeth_stiffness, machine.teeth_damping
-    smooth = step / 0.005  # oil and bearings follow the mean load of the teeth, not every knock
+    smooth = machine.step / 0.005  # oil and bearings follow the mean load of the teeth, not every knock
 
     track = np.empty((len(at), 5))
     angles, speeds, applied, dry = data.qpos, data.qvel, data.qfrc_applied, model.dof_frictionloss

@@ -8,12 +8,12 @@ so that torques are accelerations; angles in rad, duty in %, time in s.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from concealed import Concealed, log_uniform, together
+from concealed import Concealed, Drawing, log_uniform, together
 from numba import njit
 from numpy.typing import NDArray
 
@@ -212,6 +212,93 @@ def draw_rig(rng: np.random.Generator) -> Rig:
     )
 
 
+# ---- effects ----
+
+Parameters = dict[str, float]
+
+
+@dataclass(frozen=True)
+class _Drawing(Drawing):
+    turn: float  # an angle, rad
+    sign: float
+
+
+def _end_stop(d: _Drawing) -> Parameters:
+    upper, lower = (d.reach * d.rng.uniform(0.5, 1.0, 2) * (0.3 / max(d.size, 1e-9)) ** 0.5).tolist()
+    stiffness = 3e4 if d.size > 0.0 else 0.0
+    return {"stop_upper": upper, "stop_lower": -lower, "stop_stiffness": stiffness, "stop_damping": 60.0}
+
+
+def _flexible_load(d: _Drawing) -> Parameters:
+    rate = 2.0 * math.pi * d.log_uniform(0.8, 8.0)
+    damping = 2.0 * d.log_uniform(0.03, 0.3) * rate
+    return {"rider_share": 2.0 * d.size, "rider_rate": rate, "rider_damping": damping}
+
+
+def _joint_elasticity(d: _Drawing) -> Parameters:
+    share = d.rig.motor_share
+    reduced, rate = share * (1.0 - share), 0.0
+    if d.size > 0.0:
+        rate = 2.0 * math.pi * min(3.0 * math.sqrt(0.3 / d.size), 40.0)
+    return {"joint_stiffness": rate**2 * reduced, "joint_damping": 2.0 * d.between(0.03, 0.2) * rate * reduced}
+
+
+def _position_dependent_friction(d: _Drawing) -> tuple[Parameters, Parameters]:
+    # The plain part is four thirds of what varies: friction stays friction.
+    plain = {"coulomb": d.torque / 0.75}
+    return plain | {"dry_wave": d.torque, "dry_wave_phase": d.turn}, plain
+
+
+def _stribeck_friction(d: _Drawing) -> tuple[Parameters, Parameters]:
+    plain = {"coulomb": 0.5 * d.torque}
+    return plain | {"stribeck": d.torque, "stribeck_speed": d.speed * d.log_uniform(0.03, 0.12)}, plain
+
+
+_EFFECTS: dict[str, Callable[[_Drawing], Parameters]] = {
+    "constant_offset": lambda d: {"offset": d.sign * d.torque},
+    "coulomb_friction": lambda d: {"coulomb": d.torque},
+    "detent": lambda d: {
+        "detent": d.torque, "detent_angle": d.reach * d.between(-1.0, 1.0), "detent_width": d.between(0.1, 0.3)},
+    "disturbance_pulse": lambda d: {
+        "pulse": d.sign * d.torque, "pulse_start": d.duration * d.between(0.1, 0.7),
+        "pulse_length": d.duration * d.between(0.05, 0.2)},
+    "drive_saturation": lambda d: {"clip": 100.0 * (1.0 - 2.0 * d.size) if d.size > 0.0 else math.inf},
+    "encoder_eccentricity": lambda d: {"eccentricity": 0.1 * d.size, "eccentricity_phase": d.turn},
+    "end_stop": _end_stop,
+    "flexible_load": _flexible_load,
+    "friction_asymmetry": lambda d: {"dry_forward" if d.sign > 0.0 else "dry_reverse": d.torque},
+    "friction_run_in": lambda d: {"run_in": d.torque, "run_in_time": d.duration * d.between(0.05, 0.3)},
+    "gravity": lambda d: {"gravity": d.torque, "gravity_phase": d.turn},
+    "input_delay": lambda d: {"delay": 0.1 * d.size},
+    "joint_elasticity": _joint_elasticity,
+    "load_change": lambda d: {
+        "load_time": d.duration * d.between(0.2, 0.6), "load_factor": (1.0 + 2.0 * d.size) ** d.sign},
+    "load_dependent_friction": lambda d: {"dry_load": d.size},
+    "motor_lag": lambda d: {"lag": 0.2 * d.size},
+    "periodic_disturbance": lambda d: {
+        "shake": d.torque, "shake_frequency": d.log_uniform(0.5, 15.0), "shake_phase": d.turn},
+    "presliding_friction": lambda d: {"bristle": d.torque, "bristle_travel": d.log_uniform(0.02, 0.08)},
+    "quadratic_drag": lambda d: {"drag": d.torque / d.speed**2},
+    "spring": lambda d: {"spring": d.torque / d.speed, "spring_rest": d.between(-0.2, 0.2) * d.speed},
+    "sticky_sector": lambda d: {
+        "sector": d.torque, "sector_angle": d.reach * d.between(-1.0, 1.0), "sector_half": d.between(0.15, 0.5)},
+    "supply_sag": lambda d: {"sag": d.size},
+    "thermal_fade": lambda d: {"fade": d.size, "fade_time": d.duration * d.between(0.15, 0.6)},
+    "torque_ripple": lambda d: {
+        "ripple": d.torque, "ripple_order": float(d.rng.integers(4, 40)), "ripple_phase": d.turn},
+    "viscous_asymmetry": lambda d: {"viscous_asymmetry": 3.0 * d.size},
+    "other_bump": lambda d: {
+        "bump": d.sign * d.torque, "bump_angle": d.reach * d.between(-1.0, 1.0), "bump_width": d.between(0.1, 0.3)},
+    "other_cubic_drag": lambda d: {"cubic": d.torque / d.speed**3},
+    "other_gain_asymmetry": lambda d: {"gain_asymmetry": d.sign * d.size},
+}  # fmt: skip
+# Parts of dry friction: their numbers with those of the plain friction, and the latter alone.
+_IN_DRY_FRICTION: dict[str, Callable[[_Drawing], tuple[Parameters, Parameters]]] = {
+    "position_dependent_friction": _position_dependent_friction,
+    "stribeck_friction": _stribeck_friction,
+}
+
+
 def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, duration: float = 60.0) -> Concealed:
     """An effect of that size, all else about it at random; size 0 is no effect at all.
 
@@ -221,89 +308,14 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
 
     Raises ValueError for an id that is not known.
     """
-    torque, speed = size * rig.half_torque, rig.half_speed
-    reach, turn, sign = min(0.5 * speed, math.pi), float(rng.uniform(-math.pi, math.pi)), float(rng.choice([-1.0, 1.0]))
-    carrier = None
-    match id:
-        case "constant_offset":
-            values = {"offset": sign * torque}
-        case "coulomb_friction":
-            values = {"coulomb": torque}
-        case "drive_saturation":
-            values = {"clip": 100.0 * (1.0 - 2.0 * size) if size > 0.0 else math.inf}
-        case "encoder_eccentricity":
-            values = {"eccentricity": 0.1 * size, "eccentricity_phase": turn}
-        case "end_stop":
-            upper, lower = (reach * rng.uniform(0.5, 1.0, 2) * (0.3 / max(size, 1e-9)) ** 0.5).tolist()
-            values = {"stop_upper": upper, "stop_lower": -lower, "stop_stiffness": 3e4 if size > 0.0 else 0.0}
-            values |= {"stop_damping": 60.0}
-        case "flexible_load":
-            rate = 2.0 * math.pi * log_uniform(rng, 0.8, 8.0)
-            values = {"rider_share": 2.0 * size, "rider_rate": rate}
-            values |= {"rider_damping": 2.0 * log_uniform(rng, 0.03, 0.3) * rate}
-        case "friction_asymmetry":
-            values = {"dry_forward" if sign > 0.0 else "dry_reverse": torque}
-        case "gravity":
-            values = {"gravity": torque, "gravity_phase": turn}
-        case "input_delay":
-            values = {"delay": 0.1 * size}
-        case "joint_elasticity":
-            reduced, rate = rig.motor_share * (1.0 - rig.motor_share), 0.0
-            if size > 0.0:
-                rate = 2.0 * math.pi * min(3.0 * math.sqrt(0.3 / size), 40.0)
-            values = {"joint_stiffness": rate**2 * reduced}
-            values |= {"joint_damping": 2.0 * float(rng.uniform(0.03, 0.2)) * rate * reduced}
-        case "load_change":
-            values = {"load_time": duration * float(rng.uniform(0.2, 0.6)), "load_factor": (1.0 + 2.0 * size) ** sign}
-        case "load_dependent_friction":
-            values = {"dry_load": size}
-        case "motor_lag":
-            values = {"lag": 0.2 * size}
-        case "periodic_disturbance":
-            values = {"shake": torque, "shake_frequency": log_uniform(rng, 0.5, 15.0), "shake_phase": turn}
-        case "position_dependent_friction":
-            # The plain part is four thirds of what varies: friction stays friction.
-            plain = {"coulomb": torque / 0.75}
-            values, carrier = plain | {"dry_wave": torque, "dry_wave_phase": turn}, Concealed("coulomb_friction", plain)
-        case "presliding_friction":
-            values = {"bristle": torque, "bristle_travel": log_uniform(rng, 0.02, 0.08)}
-        case "quadratic_drag":
-            values = {"drag": torque / speed**2}
-        case "spring":
-            values = {"spring": torque / speed, "spring_rest": float(rng.uniform(-0.2, 0.2)) * speed}
-        case "stribeck_friction":
-            plain = {"coulomb": 0.5 * torque}
-            values, carrier = plain | {"stribeck": torque}, Concealed("coulomb_friction", plain)
-            values |= {"stribeck_speed": speed * log_uniform(rng, 0.03, 0.12)}
-        case "supply_sag":
-            values = {"sag": size}
-        case "thermal_fade":
-            values = {"fade": size, "fade_time": duration * float(rng.uniform(0.15, 0.6))}
-        case "torque_ripple":
-            values = {"ripple": torque, "ripple_order": float(rng.integers(4, 40)), "ripple_phase": turn}
-        case "other_bump":
-            values = {"bump": sign * torque, "bump_angle": reach * float(rng.uniform(-1.0, 1.0))}
-            values |= {"bump_width": float(rng.uniform(0.1, 0.3))}
-        case "other_cubic_drag":
-            values = {"cubic": torque / speed**3}
-        case "other_gain_asymmetry":
-            values = {"gain_asymmetry": sign * size}
-        case "friction_run_in":
-            values = {"run_in": torque, "run_in_time": duration * float(rng.uniform(0.05, 0.3))}
-        case "sticky_sector":
-            values = {"sector": torque, "sector_angle": reach * float(rng.uniform(-1.0, 1.0))}
-            values |= {"sector_half": float(rng.uniform(0.15, 0.5))}
-        case "disturbance_pulse":
-            values = {"pulse": sign * torque, "pulse_start": duration * float(rng.uniform(0.1, 0.7))}
-            values |= {"pulse_length": duration * float(rng.uniform(0.05, 0.2))}
-        case "detent":
-            values = {"detent": torque, "detent_angle": reach * float(rng.uniform(-1.0, 1.0))}
-            values |= {"detent_width": float(rng.uniform(0.1, 0.3))}
-        case "viscous_asymmetry":
-            values = {"viscous_asymmetry": 3.0 * size}
-        case _:
-            raise ValueError(f"no effect {id!r}; there are {', '.join((*VOCABULARY, *OUTSIDE))}")
-    return Concealed(id, {name: float(value) for name, value in values.items()}, carrier)
+    turn, sign = float(rng.uniform(-math.pi, math.pi)), float(rng.choice([-1.0, 1.0]))
+    drawing = _Drawing(rng, rig, size, duration, turn, sign)
+    if id in _IN_DRY_FRICTION:
+        values, plain = _IN_DRY_FRICTION[id](drawing)
+        return Concealed(id, values, Concealed("coulomb_friction", plain))
+    if id in _EFFECTS:
+        return Concealed(id, _EFFECTS[id](drawing))
+    raise ValueError(f"no effect {id!r}; there are {', '.join((*VOCABULARY, *OUTSIDE))}")
 
 
 # ---- running it ----
@@ -415,17 +427,18 @@ def _plant(rig: Rig, effects: Sequence[Concealed]) -> _Plant:
     return _Plant(**({n: v for n, v in asdict(rig).items() if n in _Plant._fields} | values))
 
 
-def simulate(
-    rig: Rig, effects: Sequence[Concealed], time: Array, duty: Array, seed: int, noise: bool = True
-) -> Simulated:
+def simulate(rig: Rig, effects: Sequence[Concealed], time: Array, duty: Array, seed: int | None) -> Simulated:
     """The rig from rest with these effects: stamps (n,) in s, duty (n,) in %, held from each stamp to the next.
 
-    `seed` draws the process noise and nothing else. Raises ValueError for an effect that is not known or there twice.
+    `seed` draws the process noise and nothing else; None is none. Raises ValueError for an effect that is not known or
+    there twice.
     """
     plant = _plant(rig, effects)
     time, duty = np.ascontiguousarray(time, dtype=float), np.ascontiguousarray(duty, dtype=float)
     values = math.ceil((SETTLE + time[-1] - time[0]) / NOISE_STEP) + 1
-    shaken = rig.noise * noise * np.random.default_rng(seed).standard_normal((2, values))
+    shaken = np.zeros((2, values))
+    if seed is not None:
+        shaken = rig.noise * np.random.default_rng(seed).standard_normal((2, values))
     link, velocity, motor = _run(time, duty, shaken, plant).T.copy()
     shown = link + plant.eccentricity * np.sin(link + plant.eccentricity_phase)
     counts = np.floor(shown * rig.counts_per_revolution / (2.0 * math.pi) + rig.encoder_phase).astype(np.int64)

@@ -53,10 +53,8 @@ def draw_rig(rng: np.random.Generator) -> Rig:
     return Rig(**asdict(rig), departures=tuple(drawn))
 
 
-def simulate(
-    rig: Rig, effects: Sequence[Concealed], time: Array, duty: Array, seed: int, noise: bool = True
-) -> Simulated:
+def simulate(rig: Rig, effects: Sequence[Concealed], time: Array, duty: Array, seed: int | None) -> Simulated:
     """As `gearmotor_rig.simulate`; a departure of the kind of a concealed effect leaves its place to that."""
     concealed = {e.id for e in effects}
     others = [d.effect for d in rig.departures if d.effect.id not in concealed]
-    return gearmotor_rig.simulate(rig, [*effects, *others], time, duty, seed, noise)
+    return gearmotor_rig.simulate(rig, [*effects, *others], time, duty, seed)

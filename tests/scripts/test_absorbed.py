@@ -53,7 +53,7 @@ def test_a_torque_that_dead_bands_may_be_is_taken_over_and_neither_a_shake_nor_a
     seen, kept = {}, {}
     for id, parameters in of.items():
         effects = [Concealed(id, parameters)]
-        seen[id] = visibility(circuit_rig.simulate, rig, effects, time, duty, 7)
+        seen[id] = visibility(Trip(circuit_rig.simulate, time, duty, 7), rig, effects)
         kept[id] = unabsorbed(Trip(circuit_rig.simulate, time, duty, 7), rig, effects)
     assert min(seen.values()) > 3.0
     assert kept["constant_offset"] < 0.1 * seen["constant_offset"]

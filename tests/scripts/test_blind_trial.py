@@ -43,6 +43,7 @@ from blind_trial import (
     summary,
     write,
 )
+from concealed import Trip
 from mujoco_rig import OUTSIDE, VOCABULARY
 from simulators import SIMULATORS
 
@@ -109,8 +110,8 @@ def test_an_effect_that_cannot_show_is_not_planted() -> None:
         return runs[seed]
 
     numb = SimpleNamespace(draw_effect=mujoco_rig.draw_effect, simulate=simulate)
-    rng = np.random.default_rng(0)
-    assert blind_trial._plant(rng, "gravity", numb, rig, recording.time, recording.input, 1, 6.0) is None
+    rng, trip = np.random.default_rng(0), Trip(simulate, recording.time, recording.input, 1)
+    assert blind_trial._plant(rng, "gravity", numb, rig, trip, 6.0) is None
     assert len(sizes) == blind_trial.REDRAWS and np.all(np.diff(sizes) > 0.0)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
-from circuit_rig import Rig, Simulated, simulate
+from circuit_rig import Rig, Simulated, Stepping, simulate
 from concealed import Concealed
 
 # Back-EMF takes 1.2 of the viscous friction of 2, the motor 0.2 and the link 0.6.
@@ -25,13 +25,12 @@ def play(
     pieces: list[tuple[float, float]],
     *effects: Concealed,
     rig: Rig = RIG,
-    seed: int = 0,
-    noise: bool = False,
+    seed: int | None = None,
     substeps: int = 100,
 ) -> Simulated:
     """Duties held for so many seconds each."""
     duty = np.concatenate([np.full(round(length * 500), level) for length, level in pieces])
-    return simulate(rig, effects, np.arange(len(duty)) * 0.002, duty, seed, noise, 0.0, substeps)
+    return simulate(rig, effects, np.arange(len(duty)) * 0.002, duty, seed, Stepping(0.0, substeps))
 
 
 @pytest.mark.parametrize(("duty", "acting"), [(40.0, 0.35), (-40.0, -0.33), (4.9, 0.0), (-6.9, 0.0)])
@@ -127,10 +126,10 @@ def test_friction_holds_a_link_on_a_slope_and_bristles_give() -> None:
 
 def test_the_noise_has_its_density_and_its_seed() -> None:
     rig = RIG._replace(back_emf=0.0, motor_viscous=0.0, link_viscous=0.0, gap=1e-5, start_in_gap=0.0)
-    runs = [play([(2.0, 0.0)], rig=rig, seed=k, noise=True) for k in range(60)]
+    runs = [play([(2.0, 0.0)], rig=rig, seed=k) for k in range(60)]
     # White torque of density D per root hertz walks the speed by D sqrt(t).
     assert np.std([r.velocity[-1] for r in runs]) == pytest.approx(0.02 * np.sqrt(2.0), rel=0.3)
-    assert np.array_equal(runs[3].counts, play([(2.0, 0.0)], rig=rig, seed=3, noise=True).counts)
+    assert np.array_equal(runs[3].counts, play([(2.0, 0.0)], rig=rig, seed=3).counts)
 
 
 def test_a_finer_step_changes_less_than_a_count() -> None:

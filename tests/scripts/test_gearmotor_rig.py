@@ -60,7 +60,7 @@ def clock(duration: float, step: float = 0.002) -> Array:
 def held(rig: gear.Rig, level: float, duration: float, *effects: Concealed, step: float = 0.002) -> gear.Simulated:
     """A run without noise at one duty."""
     time = clock(duration, step)
-    return gear.simulate(rig, effects, time, np.full(time.size, level), 0, noise=False)
+    return gear.simulate(rig, effects, time, np.full(time.size, level), None)
 
 
 def torque(duty: float, rig: gear.Rig = RIG) -> float:
@@ -148,7 +148,7 @@ def test_impacts_lose_energy_and_never_make_any() -> None:
     rig = RIG.with_(link_viscous=1e-9, motor_viscous=1e-9, resistance=1e9, **SMOOTH)
     time = clock(3.0, 2e-4)
     push = Concealed("periodic_disturbance", {"outside_torque": 2.0, "outside_frequency": 0.25, "outside_phase": 0.0})
-    run = gear.simulate(rig, [push], time, np.zeros(time.size), 0, noise=False)
+    run = gear.simulate(rig, [push], time, np.zeros(time.size), None)
     motor = np.gradient(run.motor_position / rig.ratio, time)
     energy = 0.5 * (0.4 * motor**2 + 0.6 * run.velocity**2)
     work = np.cumsum(2.0 * np.sin(2.0 * math.pi * 0.25 * time) * run.velocity) * 2e-4
@@ -235,7 +235,7 @@ def test_coast_down_time() -> None:
     duty = np.where(time < 2.0, 50.0, 0.0)
     rig = TIGHT.with_(motor_viscous=0.015)
     dry = Concealed("coulomb_friction", {"dry_motor": 0.4, "dry_link": 0.6})
-    run = gear.simulate(rig, [dry], time, duty, 0, noise=False)
+    run = gear.simulate(rig, [dry], time, duty, None)
     start, damping = run.velocity[1000], DAMPING + 1.0
     stopped = time[1000:][np.argmax(run.velocity[1000:] == 0.0)] - 2.0
     assert stopped == pytest.approx(math.log(1.0 + damping * start / 1.0) / damping, rel=0.01)

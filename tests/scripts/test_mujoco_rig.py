@@ -13,12 +13,13 @@ import pytest
 pytest.importorskip("mujoco", reason="the recordings' generator needs the extra 'mujoco'")
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
-from concealed import Concealed, visibility
+from concealed import Concealed, Trip, visibility
 from excitations import EXCITATIONS, Limits
 from make_recording import CANDIDATES, make, write
 from mujoco_rig import (
     Rig,
     Simulated,
+    Stepping,
     draw_effect,
     draw_rig,
     simulate,
@@ -39,20 +40,20 @@ RIG = Rig(
     counts_per_revolution=10000,
     encoder_phase=0.3,
 )
+AT_ONCE = Stepping(settle=0.0)
 
 
 def play(
     pieces: list[tuple[float, float]],
     *effects: Concealed,
     rig: Rig = RIG,
-    seed: int = 0,
-    noise: bool = False,
-    settle: float = 0.0,
+    seed: int | None = None,
+    stepping: Stepping = AT_ONCE,
 ) -> Simulated:
     """Duties held for so many seconds each, at 2 ms."""
     duty = np.concatenate([np.full(round(length * 500), level) for length, level in pieces])
     time = np.arange(len(duty)) * 0.002
-    return simulate(rig, effects, time, duty, seed, noise=noise, settle=settle)
+    return simulate(rig, effects, time, duty, seed, stepping)
 
 
 @pytest.mark.parametrize(("duty", "acting"), [(40.0, 35.0), (-40.0, -33.0), (4.9, 0.0), (-6.9, 0.0)])
@@ -222,34 +223,29 @@ def test_counts_are_the_position_to_within_a_count() -> None:
 def test_noise_has_its_density() -> None:
     # Torque noise of density D per root hertz walks the speed by D sqrt(t).
     rig = replace(RIG, viscous_friction=1e-3, motor_noise=0.03, link_noise=0.04, backlash=1e-5)
-    end = [play([(0.4, 0.0)], rig=rig, seed=k, noise=True) for k in range(60)]
+    end = [play([(0.4, 0.0)], rig=rig, seed=k) for k in range(60)]
     momentum = np.array([0.25 * r.motor_velocity[-1] + 0.75 * r.velocity[-1] for r in end])
     assert momentum.std() == pytest.approx(0.05 * np.sqrt(0.4), rel=0.3)
 
 
-def test_a_finer_step_changes_less_than_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    import mujoco_rig
-
+def test_a_finer_step_changes_less_than_the_noise() -> None:
     pieces = [(0.4, 40.0), (0.3, -30.0), (0.3, 0.0)]
-    coarse = play(pieces).position
-    monkeypatch.setattr(mujoco_rig, "STEP", 1e-4)
-    assert np.abs(play(pieces).position - coarse).max() < 2.0 * np.pi / 10000.0
+    coarse, fine = play(pieces).position, play(pieces, stepping=Stepping(settle=0.0, step=1e-4)).position
+    assert 0.0 < np.abs(fine - coarse).max() < 2.0 * np.pi / 10000.0
 
 
 def test_several_effects_at_once() -> None:
     rng = np.random.default_rng(8)
     effects = [draw_effect(rng, i, RIG, 0.1, 3.0) for i in ("coulomb_friction", "gravity", "joint_elasticity")]
     time, duty = EXCITATIONS["random_steps"](3.0, rng, Limits())
-    assert visibility(simulate, RIG, effects, time, duty, seed=1) > 3.0
+    assert visibility(Trip(simulate, time, duty, 1), RIG, effects) > 3.0
 
 
 def test_visibility_rises_from_nothing_with_size() -> None:
     rng = np.random.default_rng(4)
     time, duty = EXCITATIONS["square"](3.0, rng, Limits())
-    seen = [
-        visibility(simulate, RIG, [Concealed("coulomb_friction", {"magnitude": size})], time, duty, seed=1)
-        for size in (0.0, 0.2, 2.0)
-    ]
+    trip = Trip(simulate, time, duty, 1)
+    seen = [visibility(trip, RIG, [Concealed("coulomb_friction", {"magnitude": size})]) for size in (0.0, 0.2, 2.0)]
     assert seen[0] == 0.0 < seen[1] < seen[2]
 
 

@@ -41,7 +41,7 @@ LOOSE = RIG.with_(gap=1e3, link_viscous=0.0)  # the link is by itself
 def held(rig: textbook.Rig, level: float, duration: float, *effects: Concealed) -> textbook.Simulated:
     """A run without noise at one duty."""
     time = 0.002 * np.arange(round(duration / 0.002) + 1)
-    return textbook.simulate(rig, effects, time, np.full(time.size, level), 0, noise=False)
+    return textbook.simulate(rig, effects, time, np.full(time.size, level), None)
 
 
 def end(rig: textbook.Rig, level: float, id: str, **parameters: float) -> float:
