@@ -50,6 +50,11 @@ def modules() -> list[Path]:
     return [p for p in sorted((ROOT / "twin").rglob("*.py")) if p.parent != ROOT / "twin" or p.name != "__init__.py"]
 
 
+def sources() -> list[Path]:
+    """The package's files, and those of the studies."""
+    return modules() + sorted((ROOT / "scripts").glob("*.py"))
+
+
 @pytest.mark.parametrize("path", modules(), ids=lambda p: p.relative_to(ROOT).as_posix())
 def test_imports_run_one_way(path):
     own = path.relative_to(ROOT / "twin").parts[0].removesuffix(".py")
@@ -78,17 +83,27 @@ def test_every_package_says_what_it_is_for():
         assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), path
 
 
-def lengths(path: Path) -> dict[str, int]:
-    """Lines of each function of a file, docstrings apart."""
+def functions(path: Path) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    functions = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
-    first = {f.name: f.body[1 if ast.get_docstring(f) and len(f.body) > 1 else 0] for f in functions}
-    return {f.name: (f.end_lineno or 0) - first[f.name].lineno + 1 for f in functions}
+    return [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+
+
+def length(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Lines of a function, its docstring apart."""
+    first = function.body[1 if ast.get_docstring(function) and len(function.body) > 1 else 0]
+    return (function.end_lineno or 0) - first.lineno + 1
 
 
 def test_no_function_is_longer_than_sixty_lines():
-    long = {(path.name, name): size for path in modules() for name, size in lengths(path).items() if size > 60}
+    long = {(path.name, f.name): length(f) for path in sources() for f in functions(path) if length(f) > 60}
     assert not long, "split them into stages with names; a text of the stepper's language into sections"
+
+
+def test_no_function_of_a_study_takes_more_than_six_parameters():
+    for path in set(sources()) - set(modules()):
+        for function in functions(path):
+            given = [*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs]
+            assert len(given) <= 6, f"{path.name}, {function.name}: make one object of what belongs together"
 
 
 def test_the_root_only_maps_names_to_modules():
