@@ -30,6 +30,7 @@ from blind_trial import (
     Label,
     Outcome,
     Planted,
+    Study,
     calibration_error,
     chance_error,
     claims,
@@ -282,7 +283,7 @@ def test_the_tool_gets_the_recording_alone_and_the_truth_only_after_a_wrong_answ
     wrong = Answer("nothing_missing", (), 1.0, 0.7, 1.0)
     for answers, possible in (((right,), 0.1), ((wrong, right), 0.1), ((wrong, wrong), math.nan)):
         pool = Witness(*answers)
-        opened = blind_trial._trial(pool, 5, 8, ("single",), 4.0, "mujoco")
+        opened = blind_trial._trial(pool, Study(5, ("single",), 4.0, "mujoco"), 8)
         assert opened.answer is answers[0] and opened.possible == pytest.approx(possible, nan_ok=True)
         (alone,), *after = pool.given
         assert np.array_equal(alone.output, recording.output) and [names for _, names in after] == [(name,)] * (
