@@ -144,6 +144,8 @@ def test_a_log_is_looked_at_and_what_is_chosen_is_saved(client: Client, tmp_path
     assert any("counts_per_revolution" in u for u in looked["unsure"])
     chosen = client.choose({**keys(looked), "output": {**keys(looked)["output"], "counts_per_revolution": 10_000}})
     assert "counts_per_revolution = 10000" in chosen["text"]
+    # A page that is opened again does not doubt what was set.
+    assert client.get("/state").told["looked"]["unsure"] == []
     assert client.get("/files/rig.toml").text == chosen["text"]
     (folder,) = tmp_path.iterdir()
     assert folder.stat().st_mode & 0o077 == 0

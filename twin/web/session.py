@@ -103,8 +103,12 @@ class Session:
         self._check_free()
         chosen = self._ask("choose", sections)
         tables = {title: {"keys": keys, "remarks": {}} for title, keys in sections.items()}
+        # What the user has set is no longer unsure.
+        before = self.sections
+        set_now = [k for title, keys in sections.items() for k, v in keys.items() if before.get(title, {}).get(k) != v]
+        unsure = [u for u in self.looked["unsure"] if not any(key in u for key in set_now)]
         self.sections, self.state, self.result = sections, "choosing", {}
-        self.looked = {**self.looked, "problem": "", **chosen, "sections": tables}
+        self.looked = {**self.looked, "problem": "", **chosen, "sections": tables, "unsure": unsure}
         return chosen
 
     def _check_free(self) -> None:
