@@ -96,6 +96,23 @@ def host(target: str, folder: Path) -> Path:
     return out
 
 
+#: Words that the headers of Windows define, so that no source may use them as names.
+TAKEN = ("far=", "near=", "pascal=", "IN=", "OUT=", "interface=struct", "small=char", "DELETE=1", "ERROR=0")
+
+
+@pytest.mark.skipif(shutil.which("clang") is None, reason="clang reads the dialect of Microsoft's compiler")
+def test_sources_are_read_in_the_dialect_of_microsofts_compiler(unpacked: tuple[Path, int]) -> None:
+    folder, _ = unpacked
+    dialect = ["-std=c99", "-fms-compatibility", "-fms-extensions", *(f"-D{word}" for word in TAKEN)]
+    # The constant is that of this machine's headers, and brackets too many do no harm.
+    allowed = ["-Wno-unused-parameter", "-Wno-literal-range", "-Wno-parentheses-equality"]
+    strict = ["-Wall", "-Wextra", "-Werror", *allowed, "-fsyntax-only"]
+    sources = sorted((folder / "sources").glob("*.c"))
+    assert sources
+    read = subprocess.run(["clang", *dialect, *strict, *map(str, sources)], capture_output=True, text=True)
+    assert read.returncode == 0, read.stderr
+
+
 @pytest.fixture(scope="module")
 def wine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where wine keeps its Windows: making one takes it longer than all the rest."""
