@@ -242,7 +242,7 @@ def _without_idle_gap(found: SearchResult) -> tuple[FitProblem, Fit] | None:
     if known or "backlash" in structure or "backlash" not in last.structure:
         return None
     rigid = local_optima.refit(problem.at(last.process_noise), structure, last.values)
-    return _without_gap(problem, last) if model_comparison.criterion_difference(rigid, last) > 0.0 else None
+    return _without_gap(problem, rigid) if model_comparison.criterion_difference(rigid, last) > 0.0 else None
 
 
 def _is_gap_a_makeshift(point: Fit) -> bool:
