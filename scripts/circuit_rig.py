@@ -20,7 +20,7 @@ from math import exp, floor, inf, pi, radians, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from concealed import Concealed, Drawing, check
+from concealed import Concealed, Drawing, check, drawn
 from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import lfilter
@@ -351,12 +351,7 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
     source with 0.3 of the winding's resistance.
     """
     drawing = Drawing(rng, rig, size, duration)
-    if id in _IN_DRY_FRICTION:
-        values, plain = _IN_DRY_FRICTION[id](drawing)
-        return Concealed(id, values, Concealed("coulomb_friction", plain))
-    if id in _EFFECTS:
-        return Concealed(id, _EFFECTS[id](drawing))
-    raise ValueError(f"no effect {id!r}; there are {', '.join(VOCABULARY + OUTSIDE)}")
+    return drawn(id, drawing, _EFFECTS, _IN_DRY_FRICTION, VOCABULARY + OUTSIDE)
 
 
 # ---- the simulation ----

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -98,6 +98,25 @@ class Drawing:
 
     def one_of(self, *names: str) -> str:
         return str(self.rng.choice(names))
+
+
+def drawn(
+    id: str,
+    drawing: Any,
+    effects: Mapping[str, Callable[[Any], dict[str, float]]],
+    in_dry_friction: Mapping[str, Callable[[Any], tuple[dict[str, float], dict[str, float]]]],
+    known: Sequence[str],
+) -> Concealed:
+    """The effect with numbers from a simulator's tables. Some stand in dry friction, which is drawn with them.
+
+    Raises ValueError for an id that is in neither table; `known` are all that the simulator has.
+    """
+    if id in in_dry_friction:
+        values, plain = in_dry_friction[id](drawing)
+        return Concealed(id, values, Concealed("coulomb_friction", plain))
+    if id in effects:
+        return Concealed(id, effects[id](drawing))
+    raise ValueError(f"no effect {id!r}; there are {', '.join(known)}")
 
 
 def _carriers(effects: Sequence[Concealed]) -> list[Concealed]:

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from concealed import Concealed, Drawing, log_uniform, together
+from concealed import Concealed, Drawing, drawn, log_uniform, together
 from numba import njit
 from numpy.typing import NDArray
 
@@ -310,12 +310,7 @@ def draw_effect(rng: np.random.Generator, id: str, rig: Rig, size: float, durati
     """
     turn, sign = float(rng.uniform(-math.pi, math.pi)), float(rng.choice([-1.0, 1.0]))
     drawing = _Drawing(rng, rig, size, duration, turn, sign)
-    if id in _IN_DRY_FRICTION:
-        values, plain = _IN_DRY_FRICTION[id](drawing)
-        return Concealed(id, values, Concealed("coulomb_friction", plain))
-    if id in _EFFECTS:
-        return Concealed(id, _EFFECTS[id](drawing))
-    raise ValueError(f"no effect {id!r}; there are {', '.join((*VOCABULARY, *OUTSIDE))}")
+    return drawn(id, drawing, _EFFECTS, _IN_DRY_FRICTION, [*VOCABULARY, *OUTSIDE])
 
 
 # ---- running it ----
