@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,46 @@ def duty_levels(seed: int, samples: int, step: float, most: float = 60.0) -> np.
         duty[start : start + held] = rng.choice([-1.0, 1.0, 1.0, -1.0, 0.0]) * rng.uniform(0.3 * most, most)
         start += held
     return duty
+
+
+def square_wave(rng: np.random.Generator, samples: int) -> np.ndarray:
+    """Duty levels of either sign, at times zero or inside the dead band, each held for 0.2 to 1.5 s at 2
+    ms."""
+    duty = np.zeros(samples)
+    start = 200
+    while start < samples:
+        held = int(rng.integers(100, 750))
+        duty[start : start + held] = rng.choice([-1, 1, 1, 0]) * rng.choice([8.0, 20.0, 35.0, 60.0])
+        start += held
+    return duty
+
+
+def dry_axis(
+    duty: np.ndarray, dt: float = 0.002, gap: float = 0.0, stop: float = math.inf, inner: int = 10
+) -> np.ndarray:
+    """Link angle (rad) of an axis with dry friction, dead band, a gap and a hard stop; true stick, plastic
+    impacts.
+
+    The link is carried along without mass of its own: it starts at full speed when the motor has crossed
+    the gap, which is the hardest case for anyone who takes sudden starts for faults.
+    """
+    motor = speed = link = 0.0
+    angles = []
+    for u in duty:
+        angles.append(link)
+        for _ in range(inner):
+            h = dt / inner
+            drive = 12.0 * math.copysign(max(abs(u) - 6.0, 0.0), u)
+            free = speed + h * (drive - 8.0 * speed)
+            slow = h * 60.0
+            speed = math.copysign(max(abs(free) - slow, 0.0), free)
+            motor += h * speed
+            link = min(max(link, motor - gap / 2), motor + gap / 2)
+            if abs(link) >= stop:
+                link = math.copysign(stop, link)
+                if abs(motor) > stop + gap / 2:
+                    motor, speed = math.copysign(stop + gap / 2, motor), 0.0
+    return np.array(angles)
 
 
 def axis_speed(duty: np.ndarray, step: float, gain: float = 6.0, friction: float = 5.0) -> np.ndarray:

@@ -6,56 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from driven_axis import dry_axis, square_wave
 
-from twin.io.faults import find_clipped, find_held
+from twin.io.faults import find_held
 from twin.io.recording import Recording, load
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 MODELS = Path(__file__).resolve().parents[2] / "models"
 COUNT = 2 * math.pi / 10_000
 RIG = (MODELS / "shipped" / "rig.toml").read_text()
-
-
-def square_wave(rng: np.random.Generator, samples: int) -> np.ndarray:
-    """Duty levels of either sign, at times zero or inside the dead band, each held for 0.2 to 1.5 s at 2
-    ms."""
-    duty = np.zeros(samples)
-    start = 200
-    while start < samples:
-        held = int(rng.integers(100, 750))
-        duty[start : start + held] = rng.choice([-1, 1, 1, 0]) * rng.choice([8.0, 20.0, 35.0, 60.0])
-        start += held
-    return duty
-
-
-def dry_axis(
-    duty: np.ndarray, dt: float = 0.002, gap: float = 0.0, stop: float = math.inf, inner: int = 10
-) -> np.ndarray:
-    """Link angle (rad) of an axis with dry friction, dead band, a gap and a hard stop; true stick, plastic
-    impacts.
-
-    The link is carried along without mass of its own: it starts at full speed when the motor has crossed
-    the gap, which is the hardest case for anyone who takes sudden starts for faults.
-    """
-    motor = speed = link = 0.0
-    angles = []
-    for u in duty:
-        angles.append(link)
-        for _ in range(inner):
-            h = dt / inner
-            drive = 12.0 * math.copysign(max(abs(u) - 6.0, 0.0), u)
-            free = speed + h * (drive - 8.0 * speed)
-            slow = h * 60.0
-            speed = math.copysign(max(abs(free) - slow, 0.0), free)
-            motor += h * speed
-            link = min(max(link, motor - gap / 2), motor + gap / 2)
-            if abs(link) >= stop:
-                link = math.copysign(stop, link)
-                if abs(motor) > stop + gap / 2:
-                    motor, speed = math.copysign(stop + gap / 2, motor), 0.0
-    return np.array(angles)
 
 
 def recorded(folder: Path, duty: np.ndarray, angle: np.ndarray, time: np.ndarray | None = None) -> Recording:
@@ -232,54 +191,6 @@ def test_wraps_are_undone(tmp_path: Path, turn: int) -> None:
         assert jumps > 5
     assert sum(f.kind == "wrap" for f in recording.faults) == jumps == len(recording.faults)
     np.testing.assert_allclose(recording.output - recording.output[0], (counts - counts[0]) * COUNT, atol=1e-9)
-
-
-def test_a_sensor_that_clips_is_reported(tmp_path: Path) -> None:
-    time = np.arange(6000) * 0.002
-    angle = np.clip(3 * np.sin(2 * time), -math.inf, 1.5)
-    recording = recorded(tmp_path, np.sign(np.cos(2 * time)), angle)
-    assert {f.kind for f in recording.faults} == {"saturation"}
-    assert len(recording.faults) == 4
-    assert np.nanmax(recording.output) <= round(1.5 / COUNT) * COUNT + 1e-12
-
-
-def speed_of(duty: np.ndarray, decay_rate: float, dry: float, dt: float) -> np.ndarray:
-    """Speed (rad/s) of an axis with viscous and dry friction under a duty (%)."""
-    speed, v = np.zeros(len(duty)), 0.0
-    for i, u in enumerate(duty):
-        speed[i] = v
-        free = v + (1.0 - math.exp(-decay_rate * dt)) * (u - v)
-        slow = dry * dt
-        v = math.copysign(max(abs(free) - slow, 0.0), free)
-    return speed
-
-
-TIME = 0.002 * np.arange(8000)
-
-
-@settings(max_examples=25, deadline=None)
-@given(
-    st.floats(1.0, 2000.0), st.sampled_from([0.0, 60.0]), st.sampled_from([1e-3, 0.05, 1.0, 5.0]), st.booleans(),
-    st.integers(0, 99),
-)  # fmt: skip
-def test_a_speed_that_settles_or_rests_is_not_cut_off(
-    decay_rate: float, dry: float, count: float, one_way: bool, seed: int
-) -> None:
-    duty = square_wave(np.random.default_rng(seed), len(TIME))
-    speed = speed_of(np.abs(duty) if one_way else duty, decay_rate, dry, 0.002)
-    faults, out = find_clipped(TIME, np.round(speed / count) * count, count)
-    assert not faults and not out.any()
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.02])
-def test_a_speed_that_its_sensor_cuts_off_is_left_out(noise: float) -> None:
-    rng = np.random.default_rng(5)
-    speed = speed_of(square_wave(rng, len(TIME)), 8.0, 60.0, 0.002) + noise * rng.standard_normal(len(TIME))
-    cut = np.abs(speed) > 15.0
-    faults, out = find_clipped(TIME, np.clip(speed, -15.0, 15.0), 0.01)
-    assert len(faults) >= 2 and all(f.kind == "saturation" for f in faults)
-    forwards = cut & (speed > 0.0)  # backwards it is cut off once, which may be a steady speed
-    assert not np.any(out & ~forwards) and np.count_nonzero(out) > 0.95 * np.count_nonzero(forwards)
 
 
 def test_missing_cells_are_left_out_and_merged(tmp_path: Path) -> None:

@@ -249,12 +249,12 @@ def test_nothing_is_found_on_real_recordings(tmp_path: Path) -> None:
     assert [(r.name, f) for r in servo for f in r.preflight] == []
 
 
-def test_a_sensor_that_clips_is_named(tmp_path: Path) -> None:
-    step = 0.002
-    duty = duty_levels(7, 8000, step)
-    angle = np.clip(axis_position(duty, step), -14.0, 21.0)
-    log = write_log(tmp_path, {"t": np.arange(8000) * step, "duty": duty, "y": angle}, rig_text('unit = "rad"'))
-    (recording,), _ = load([log])
+def test_an_output_at_its_ends_that_does_not_answer_is_named(tmp_path: Path) -> None:
+    """A switch, not a sensor: nothing lies between its ends, from which a law could be seen."""
+    duty = duty_levels(7, N, STEP)
+    ends = np.where(axis_position(duty, STEP) > 3.0, 21.0, -14.0)
+    ends[::50] += 1e-3 * np.arange(N // 50)
+    recording = loaded(tmp_path, duty, ends, 'unit = "rad"')
     (finding,) = recording.preflight
     assert finding.kind == "clipped" and finding.severity is Severity.BLOCKS
     assert "smallest or its largest reading" in finding.says

@@ -11,7 +11,6 @@ from twin.io.faults import (
     BoolArray,
     Fault,
     FloatArray,
-    find_clipped,
     find_contradicted,
     find_held,
     find_missing,
@@ -19,6 +18,7 @@ from twin.io.faults import (
     find_resolution,
 )
 from twin.io.jumps import bridge_restarts, undo_wraps
+from twin.io.limits import find_clipped
 from twin.io.refresh import find_count, find_refresh, new_readings
 from twin.io.rig_file import Column
 
@@ -131,11 +131,8 @@ def clean_output(
     faults += wraps
     spikes |= find_outliers(output, resolution)
     output = np.where(spikes, np.nan, output)
-    if column.unit.endswith("/s"):
-        clipped, out = find_clipped(time, output, resolution)
-        faults += clipped
-        output = np.where(out, np.nan, output)
-    else:
+    is_speed = column.unit.endswith("/s")
+    if not is_speed:
         output, jumps = bridge_restarts(time, output, command, resolution, raw.turns, column.unit)
         frozen, out = find_held(time, output, resolution)
         if speed is not None:
@@ -147,5 +144,7 @@ def clean_output(
         output = np.where(out, np.nan, output)
         inside = np.array([any(f.start < t < f.end for f in frozen) for t in time[spikes]], dtype=bool)
         spikes[np.flatnonzero(spikes)[inside]] = False  # a freeze that holds an outlier is one freeze
-    faults += _outliers(time, raw.values, spikes, "output")
+    clipped, out = find_clipped(time, output, command, resolution, is_speed)
+    faults += [*clipped, *_outliers(time, raw.values, spikes, "output")]
+    output = np.where(out, np.nan, output)
     return Cleaned(output, resolution, refresh, tuple(faults))

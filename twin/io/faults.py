@@ -152,7 +152,7 @@ def find_outliers(values: FloatArray, resolution: float) -> BoolArray:
 
 
 def find_held(time: FloatArray, values: FloatArray, resolution: float) -> tuple[list[Fault], BoolArray]:
-    """Freezes and sensor saturation of a position: it stands exactly still as no axis at rest does.
+    """Freezes of a position: it stands exactly still as no axis at rest does.
 
     An axis that really stood still starts from rest: its first step is no larger than the ones that follow.
     Returns the faults and the samples to leave out.
@@ -172,16 +172,11 @@ def find_held(time: FloatArray, values: FloatArray, resolution: float) -> tuple[
     exits = np.zeros(step.size, dtype=bool)
     exits[[b for _, b in still]] = True
     fastest = float(np.max(np.abs(step[~exits] / np.diff(t)[~exits]), initial=0.0))
-    saturated = _saturated(t, y, still, fastest, resolution)
     for a, b in still:
-        if _is_freeze(t, y, a, b, fastest, resolution):
-            says = f"The reading froze at {t[a]:.3f} s for {t[b] - t[a]:.3f} s while the axis moved on."
-            faults.append(Fault("freeze", float(t[a]), float(t[b]), says))
-        elif (a, b) in saturated:
-            says = f"The sensor sat at its limit from {t[a]:.3f} s for {t[b] - t[a]:.3f} s."
-            faults.append(Fault("saturation", float(t[a]), float(t[b]), says))
-        else:
+        if not _is_freeze(t, y, a, b, fastest, resolution):
             continue
+        says = f"The reading froze at {t[a]:.3f} s for {t[b] - t[a]:.3f} s while the axis moved on."
+        faults.append(Fault("freeze", float(t[a]), float(t[b]), says))
         out[good[a] + 1 : good[b] + 1] = True
     return faults, out
 
@@ -207,58 +202,6 @@ def _is_freeze(t: FloatArray, y: FloatArray, a: int, b: int, fastest: float, res
     started = min(jump, float(np.min(after[:3]))) < max(10 * resolution, 0.7 * float(np.max(after[:3])))
     margin = 0.05 * float(np.ptp(y))
     return not braked and not started and np.min(y) + margin < y[a] < np.max(y) - margin
-
-
-def _saturated(
-    t: FloatArray, y: FloatArray, still: list[tuple[int, int]], fastest: float, resolution: float
-) -> list[tuple[int, int]]:
-    """Standstills at an end of the range that the axis enters and leaves at speed.
-
-    An end stop with backlash looks much the same, but gives the axis back slowly. So: at least two
-    standstills at that end, and all of them entered and left at over 0.6 of the highest speed, without
-    braking or starting.
-    """
-    found = []
-    for limit in (np.min(y), np.max(y)):
-        here = [(a, b) for a, b in still if y[a] == limit]
-        if len(here) < 2 or here[0][0] < 4 or here[-1][1] > y.size - 5:
-            continue
-        # the steps into and out of the limit are cut short by it: judge the ones beside them
-        pairs = [(a - 1, a - 2) for a, _ in here] + [(b + 2, b + 3) for _, b in here]
-        near = np.array([[k, far] for k, far in pairs])
-        speed = np.abs((y[near] - y[near - 1]) / (t[near] - t[near - 1]))
-        step = np.abs(y[near] - y[near - 1])
-        if np.all(speed[:, 0] > np.maximum(0.6 * fastest, 0.8 * speed[:, 1])) and np.all(step > 10 * resolution):
-            found += here
-    return found
-
-
-def find_clipped(time: FloatArray, values: FloatArray, resolution: float) -> tuple[list[Fault], BoolArray]:
-    """Stretches of a speed at the limit of its sensor.
-
-    A drive comes to a steady speed ever more slowly, and its last steps are smaller than a count. A reading that stops
-    in full slope, again and again at the same end of its range, is cut off. Rest is no such end: dry friction brakes to
-    it in full slope. Returns the faults and the samples to leave out, those at the limit.
-    """
-    out = np.zeros(values.size, dtype=bool)
-    faults: list[Fault] = []
-    good = np.flatnonzero(np.isfinite(values))
-    if good.size < 20:
-        return faults, out
-    t, y = time[good], values[good]
-    grain = max(resolution, 1e-6 * float(np.ptp(y)))
-    for limit in (v for v in (np.min(y), np.max(y)) if abs(v) > grain):
-        held = [(a, b) for a, b in runs(y == limit) if b - a + 1 >= 10 and a >= 3]
-        steps = [np.abs(np.diff(y[a - 3 : a])) for a, _ in held]
-        in_slope = [bool(min(before, last) > 3.0 * grain and last > 0.5 * before) for before, last in steps]
-        # Noise at the limit may part one stretch into several, of which the first alone is entered in slope.
-        if sum(in_slope) < max(2, 0.5 * len(held)):
-            continue
-        for a, b in held:
-            says = f"The speed was cut off at {limit:.4g} from {t[a]:.3f} s for {t[b] - t[a]:.3f} s."
-            faults.append(Fault("saturation", float(t[a]), float(t[b]), says))
-            out[good[a] : good[b] + 1] = True
-    return faults, out
 
 
 def find_contradicted(

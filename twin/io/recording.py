@@ -17,7 +17,7 @@ from twin.io.clock import CONVERTER_STEP, LONGEST_STEP, bridge_jumps, check_unit
 from twin.io.faults import Fault, find_gaps
 from twin.io.joined import join_files
 from twin.io.manifest import Entry, entries_of, expand
-from twin.io.preflight.checks import examine, reversed_alone, slow_sensor
+from twin.io.preflight.checks import at_its_limit, examine, reversed_alone, slow_sensor
 from twin.io.preflight.finding import Finding, Severity
 from twin.io.preflight.response import Signals
 from twin.io.preflight.standing import Columns, contradicted
@@ -401,9 +401,16 @@ def _examined(recordings: list[Recording], rig: Rig) -> list[Recording]:
     for own, r, s in zip(found, recordings, signals, strict=True):
         if r.refresh is not None and rig.refresh is None:
             own.append(slow_sensor(s, r.refresh))
+        own += at_its_limit(s, _share_at_limit(r))
         if len(recordings) > 1 and not any(f.severity is Severity.BLOCKS for f in together):
             own += reversed_alone(s, signals)
     return [replace(r, preflight=tuple(own)) for r, own in zip(recordings, found, strict=True)]
+
+
+def _share_at_limit(recording: Recording) -> float:
+    """The share of the time for which the output is at the limit of its sensor."""
+    spent = sum(f.end - f.start for f in recording.faults if f.kind == "saturation" and f.signal == "output")
+    return spent / float(recording.time[-1])
 
 
 def _tests(tables: Sequence[Table], entry: Entry) -> list[Table]:

@@ -272,6 +272,28 @@ def clipped(recordings: Sequence[Signals]) -> list[Finding]:
     ]
 
 
+def at_its_limit(signals: Signals, share: float) -> list[Finding]:
+    """A sensor that is at its limit for much of the time while the axis goes on (see `twin.io.limits`).
+
+    Parameters
+    ----------
+    signals
+        The recording.
+    share
+        Of its time, for which the sensor is at its limit.
+    """
+    if share < _AT_ENDS:
+        return []
+    return [
+        Finding(
+            "clipped",
+            f"{signals.name} is at the limit of its sensor for {100 * share:.0f} % of the time, while the axis goes on "
+            "beyond; these readings are left out; move within the range of the sensor to have them",
+            Severity.WARNS,
+        )
+    ]
+
+
 def reversed_alone(signals: Signals, recordings: Sequence[Signals]) -> list[Finding]:
     """One recording of several, in which the axis moves against the input (see `opposed`).
 
