@@ -39,18 +39,13 @@ def filter_noise(case: PreparedRecording, process_noise: float) -> Noise:
     spread, duration = case.reading_span, max(float(case.drive.time[-1]), 1e-9)
     velocity = (spread if case.drive.speed else max(spread / duration, 1e-3 * spread)) ** 2
     return Noise(
-        process_noise, 1.0, 1.0 if case.drive.speed else velocity / case.reading_variance, case.longest_silence
+        process_noise,
+        case.start_variance,
+        1.0 if case.drive.speed else velocity / case.reading_variance,
+        case.longest_silence,
     )
-
-
-def _renewal_interval(case: PreparedRecording) -> float:
-    """The usual time between readings that are new, s: a computed speed is often held over many stamps."""
-    if not case.drive.speed:
-        return case.step
-    read = case.drive.measured[np.isfinite(case.drive.measured)]
-    return case.step * len(read) / max(int(np.count_nonzero(np.diff(read))), 1)
 
 
 def largest_process_noise(cases: Sequence[PreparedRecording]) -> float:
     """The noise density at which the filter weighs the fewest readings that it may."""
-    return min(process_noise_of(c, MIN_READINGS_IN_MEMORY * _renewal_interval(c)) for c in cases)
+    return min(process_noise_of(c, MIN_READINGS_IN_MEMORY * c.renewal) for c in cases)

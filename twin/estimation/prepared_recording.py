@@ -60,7 +60,7 @@ class PreparedRecording:
         """
         read = np.isfinite(self.drive.measured)
         time, measured = self.drive.time[read], self.drive.measured[read]
-        changed = ~(np.abs(np.diff(measured, prepend=np.nan)) < 0.5 * self.recording.resolution)
+        changed = ~(np.abs(np.diff(measured, prepend=np.nan)) < 0.5 * self._count)
         first = np.flatnonzero(changed)
         lasts = np.diff(time[first], append=self.drive.time[-1])
         rests = np.zeros(read.size, dtype=bool)
@@ -71,7 +71,27 @@ class PreparedRecording:
     def rounding_allowance(self) -> FloatArray:
         """The part of each reading (N,) that may be rounding and is no error. A resting axis reads the same anywhere
         within its count: that is one error, not one at each stamp."""
-        return np.where(self.resting, 0.5 * self.recording.resolution, 0.0)
+        return np.where(self.resting, 0.5 * self._count, 0.0)
+
+    @property
+    def _count(self) -> float:
+        """Size of the count that an axis may rest in, output unit; where it is read at edges, it passes them."""
+        return self.recording.resolution if self.recording.edge_rounding is None else 0.0
+
+    @cached_property
+    def renewal(self) -> float:
+        """The usual time between readings that are new, s: a computed speed is often held over many stamps."""
+        if self.drive.speed:
+            read = self.drive.measured[np.isfinite(self.drive.measured)]
+            return self.step * len(read) / max(int(np.count_nonzero(np.diff(read))), 1)
+        return max(self.step, float(np.median(self._intervals))) if len(self._intervals) else self.step
+
+    @property
+    def start_variance(self) -> float:
+        """Variance of the position at the start, in those of a reading: at edges, the first is known to a count."""
+        if self.recording.edge_rounding is None:
+            return 1.0
+        return max(self.recording.resolution**2 / 12.0 / self.reading_variance, 1.0)
 
     @cached_property
     def masked(self) -> NDArray[np.bool_]:
@@ -156,11 +176,15 @@ class PreparedRecording:
 
 
 def _reading_variance(recording: Recording) -> float:
-    """Variance of a reading: a twelfth of a count squared, or what third differences say where nothing is counted."""
+    """Variance of a reading: a twelfth of a count squared, or what third differences say where nothing is counted.
+
+    At edges it is a twelfth of the way squared within which the count changed.
+    """
     y = recording.output[np.isfinite(recording.output)]
     third = np.diff(y, 3)
     scatter = float(np.median(np.abs(third)) / 0.6745) ** 2 / 20.0 if len(third) else 0.0
-    counted = recording.resolution**2 / 12.0
+    count = recording.resolution if recording.edge_rounding is None else recording.edge_rounding
+    counted = count**2 / 12.0
     if counted > 0.0:
         return max(counted, scatter)
     return max(scatter, (1e-9 * float(np.ptp(y))) ** 2, 1e-30)
@@ -192,6 +216,9 @@ def prepare_recording(
         time, command, law = loop.time, loop.reference, loop.law
         measured = np.full(len(time), np.nan)
         measured[loop.stamps] = recording.output
+    if recording.edge_rounding is not None:
+        # The first reading is where the model begins, and as one of many it would be too good.
+        measured = np.where(np.cumsum(np.isfinite(measured)) > 1, measured, np.nan)
     drive = Drive(
         time=np.ascontiguousarray(time, dtype=float),
         command=np.ascontiguousarray(command, dtype=float),

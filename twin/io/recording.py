@@ -14,10 +14,11 @@ from twin.display.table import DisplayTable, Tabular
 from twin.errors import BadInput
 from twin.io.cleaning import Raw, clean_optional, clean_output, hold
 from twin.io.clock import CONVERTER_STEP, LONGEST_STEP, bridge_jumps, check_unit, spread_bursts, undo_counter_wraps
+from twin.io.edges import counted
 from twin.io.faults import Fault, find_gaps
 from twin.io.joined import join_files
 from twin.io.manifest import Entry, entries_of, expand
-from twin.io.preflight.checks import at_its_limit, examine, reversed_alone, slow_sensor
+from twin.io.preflight.checks import at_its_limit, coarse, examine, reversed_alone, slow_sensor
 from twin.io.preflight.finding import Finding, Severity
 from twin.io.preflight.response import Signals
 from twin.io.preflight.standing import Columns, contradicted
@@ -89,6 +90,7 @@ class Recording(Tabular):
     faults: tuple[Fault, ...] = ()
     location: str = "link"  # "link" | "motor": the side of gear, gap and elasticity that the sensor sits on
     refresh: float | None = None  # s, how often the sensor is read anew; None: not known
+    edge_rounding: float | None = None  # output_unit, of readings where the count changed; None: it is read at each row
     rig: Rig | None = None  # what the columns of the file were
     file: Path | None = None  # that it was read from
     preflight: tuple[Finding, ...] = ()  # what was found before any fit
@@ -342,7 +344,8 @@ def _load(entries: Sequence[Entry], chosen: Rig | None) -> tuple[list[Recording]
             sources.append((entry.path, table.test))
     recordings = _without_standing(recordings, sources, chosen)
     _check_moves(recordings)
-    return _examined(_share_supply(_share_resolution(recordings, chosen.output.resolution)), chosen), chosen
+    recordings = _share_supply(_share_resolution(recordings, chosen.output.resolution))
+    return _read_at_edges(_examined(recordings, chosen)), chosen
 
 
 def _without_standing(recordings: list[Recording], sources: Sequence[tuple[Path, str]], rig: Rig) -> list[Recording]:
@@ -738,6 +741,32 @@ def _share_resolution(recordings: list[Recording], given: float | None) -> list[
     if given is not None or not found.size or np.ptp(found) > 0.1 * np.median(found):
         return recordings
     return [replace(recording, resolution=float(np.median(found))) for recording in recordings]
+
+
+def _read_at_edges(recordings: list[Recording]) -> list[Recording]:
+    """The recordings of a coarse counter, read where its count changes (see `twin.io.edges`).
+
+    One sensor read them all: where most readings of all of them together are new, they stay as they are.
+    """
+    if any(r.is_speed or any(f.severity is Severity.BLOCKS for f in r.preflight) for r in recordings):
+        return recordings
+    seen = [counted(r.time, r.output, r.resolution) for r in recordings]
+    repeats = [s.repeats for s in seen if s is not None]
+    repeated, moving = (sum(n) for n in zip(*repeats, strict=True)) if repeats else (0, 0)
+    if 2 * repeated <= moving:
+        return recordings
+    found = [None if s is None else s.edges() for s in seen]
+    shares = np.concatenate([f[1] for f in found if f is not None])
+    rounding = float(np.sqrt(np.mean(shares**2)))
+    read = []
+    for r, f in zip(recordings, found, strict=True):
+        known = np.full(r.time.size, np.nan)
+        known[np.isfinite(r.output)] = np.nan if f is None else f[0]
+        if f is None:
+            known[np.flatnonzero(np.isfinite(r.output))[0]] = r.output[np.isfinite(r.output)][0]
+        read.append(replace(r, output=known, edge_rounding=rounding * r.resolution))
+    rows = moving / max(moving - repeated, 1)
+    return [replace(read[0], preflight=(*read[0].preflight, coarse(rows))), *read[1:]]
 
 
 def _check_moves(recordings: Sequence[Recording]) -> None:

@@ -322,6 +322,16 @@ def reversed_alone(signals: Signals, recordings: Sequence[Signals]) -> list[Find
     return found if turned < as_it_is else []
 
 
+def coarse(rows: float) -> Finding:
+    """A counter that takes many rows for one count (see `twin.io.edges`)."""
+    return Finding(
+        "coarse",
+        f"the output moves by one count in {rows:.0f} rows: it is read where its count changes, and the rows between "
+        "are left out; less than a count shows of nothing that lasts for less than this",
+        Severity.WARNS,
+    )
+
+
 def slow_sensor(signals: Signals, refresh: float) -> Finding:
     """A sensor that is read anew more slowly than it is logged (see `twin.io.refresh`)."""
     row = float(np.median(np.diff(signals.time)))
