@@ -69,3 +69,14 @@ def test_what_a_law_may_leave_is_its_error_squared_of_what_it_took() -> None:
         assert doubt == pytest.approx(700 * np.log(1.0 + 0.05**2 * (before - 1.0)), rel=1e-9)
     assert law_tolerance.doubt(fitted(700, 1.0), fitted(700, 1.0)) == 0.0
     assert law_tolerance.doubt(fitted(700, 1.0), fitted(700, 2.0)) == 0.0
+
+
+@pytest.mark.parametrize(("effect", "name", "late"), [("motor_lag", "lag_time", 0.06), ("input_delay", "delay", 0.04)])
+def test_a_gap_that_stood_for_a_lag_is_looked_for_again_beside_it(effect: str, name: str, late: float) -> None:
+    """Late torque looks like a gap as wide as any. Once the lag is known, the gap that is there shows."""
+    values = {**GEARED, "backlash_gap": 0.03, name: late}
+    made = recorded(Structure.of([*BASE, effect]), values)
+    found = forward_selection.search([made], Structure.of(BASE), {}, ("motor_lag", "input_delay", "spring"))
+    assert found.last.structure.named == (effect,)
+    assert found.last.values["backlash_gap"] == pytest.approx(0.03, rel=0.1)
+    assert found.last.values[name] == pytest.approx(late, rel=0.05)

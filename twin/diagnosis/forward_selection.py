@@ -25,6 +25,7 @@ from twin.effects.catalogue import CANDIDATES, EFFECTS
 from twin.effects.end_stop import NOWHERE
 from twin.estimation import (
     contact_masking,
+    likelihood,
     local_optima,
     multistart,
     optimizer,
@@ -41,6 +42,7 @@ Progress = Callable[[str, float], None]
 #: Units of inputs that no pulse-width stage cuts: an amplifier that is linear loses no command.
 LINEAR_INPUTS = ("V", "A", "N*m", "N")
 DEAD_BANDS = ("dead_band_forward", "dead_band_reverse")
+GAP = ("backlash", "tooth_compliance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +116,7 @@ def _add_effects(
     """
     rounds: list[Round] = []
     known: list[Hypothesis] = []
-    while len(rounds) < most and (open_ := [c for c in candidates if c not in best.structure]):
+    while len(rounds) < most and (open_ := _open_candidates(candidates, best)):
         tell(f"round {len(rounds) + 1}: trying {len(open_)} effects", 0.05 + 0.2 * len(rounds))
         best = _restart(problem, best) if rounds else best
         usual = selection_round.run_round(problem, best, known, open_)
@@ -124,7 +126,7 @@ def _add_effects(
             rounds.append(replace(this, won=False))
             events.announce(events.Reached(problem, best))
             break
-        winner, best = this.rivals[0].point, _plain_winner(problem, this)
+        winner, best = this.rivals[0].point, _with_gap_again(problem, _plain_winner(problem, this), candidates)
         known = [] if best is winner else [this.rivals[0]]
         rounds.append(_with_better_fit(this, best))
         events.announce(events.Reached(problem, best))
@@ -132,6 +134,11 @@ def _add_effects(
             # Over such a long memory other effects would gain enough by the chance of a bounce.
             break
     return best, rounds
+
+
+def _open_candidates(candidates: Sequence[str], best: Fit) -> list[str]:
+    """The candidates that the model lacks and that a score test can see. A gap has none: see `_with_gap_again`."""
+    return [c for c in candidates if c not in best.structure and EFFECTS[c].screen]
 
 
 def _is_left_by_laws(problem: FitProblem, first: Structure, this: Round) -> bool:
@@ -190,9 +197,9 @@ def search(
     # What a model without the right physics cannot predict may be what is looked for.
     problem = contact_masking.without_contact_mask(polished)
     best = local_optima.refit(problem.at(local_optima.judging_process_noise(problem, fine)), first, fine.values)
-    if _is_gap_a_makeshift(best):
-        problem, best = _without_gap(problem, best)
-        first, fine = best.structure, best
+    if _is_gap_a_makeshift(problem, best):
+        best = local_optima.refit(problem.at(best.process_noise), first.without(*GAP), best.values)
+        first, fine, candidates = best.structure, best, (*candidates, "backlash")
     candidates = screening.testable_candidates(problem, candidates, first)
     ground = first
     if friction := _friction_for_dead_band(problem, best, candidates):
@@ -213,7 +220,7 @@ def search(
             break
     rigid = _without_idle_gap(found)
     if rigid is not None:
-        problem, ground = rigid[0], ground.without("backlash", "tooth_compliance")
+        problem, ground = rigid[0], ground.without(*GAP)
         found = _search_from(*rigid, found.rounds, ground, candidates, tell)
     best, rounds = _without_unmet_stops(problem, found.last), found.rounds
     wider = _containing_alternatives(problem, best, ground, candidates, rounds)
@@ -237,7 +244,7 @@ def _without_idle_gap(found: SearchResult) -> tuple[FitProblem, Fit] | None:
     is there. A gap that is known stays, and so does one that another effect needs.
     """
     last, problem = found.last, found.problem
-    structure = last.structure.without("backlash", "tooth_compliance")
+    structure = last.structure.without(*GAP)
     known = any(n in problem.held for n in ("backlash_gap", "motor_share"))
     if known or "backlash" in structure or "backlash" not in last.structure:
         return None
@@ -245,16 +252,36 @@ def _without_idle_gap(found: SearchResult) -> tuple[FitProblem, Fit] | None:
     return _without_gap(problem, rigid) if model_comparison.criterion_difference(rigid, last) > 0.0 else None
 
 
-def _is_gap_a_makeshift(point: Fit) -> bool:
-    """Whether the likeliest gap is the widest that is looked for: it then stands for other physics."""
-    widest = parameter_bounds.bounds_of("backlash_gap")[1]
-    return "backlash_gap" in point.free and point.values["backlash_gap"] >= 0.999 * widest
+def _is_gap_a_makeshift(problem: FitProblem, point: Fit) -> bool:
+    """Whether the widest gap that is looked for, with all else the same, is about as likely as the one that was found.
+
+    A recording that shows a gap bounds it from above: a wider one would let the axis stand where it was seen to move.
+    Where nothing bounds it, the gap stands for other physics.
+    """
+    if "backlash_gap" not in point.free:
+        return False
+    widest = {**point.values, "backlash_gap": parameter_bounds.bounds_of("backlash_gap")[1]}
+    wide = likelihood.evaluate(problem.at(point.process_noise), point.structure, widest, point.free)
+    lost = (wide.deviance - point.deviance) / model_comparison.overdispersion([point])
+    return lost < thresholds.PENALTY_PER_PARAMETER
+
+
+def _with_gap_again(problem: FitProblem, point: Fit, candidates: Sequence[str]) -> Fit:
+    """The point, or one with a gap where that shows beside the effects that are known now.
+
+    The first model's gap stood for them, and hid the one that is there.
+    """
+    if "backlash" not in candidates or "backlash" in point.structure:
+        return point
+    geared = local_optima.search_gap(problem, point)
+    shows = model_comparison.is_significant(point, geared) and not _is_gap_a_makeshift(problem, geared)
+    return geared if shows else point
 
 
 def _without_gap(problem: FitProblem, point: Fit) -> tuple[FitProblem, Fit]:
     """The problem and the model with motor and link as one. They do not rattle, so nothing is left out for that."""
     unmasked = problem.on([replace(c, rattle_mask=None, start_mask=None) for c in problem.recordings])
-    structure = point.structure.without("backlash", "tooth_compliance")
+    structure = point.structure.without(*GAP)
     return unmasked, local_optima.refit(unmasked.at(point.process_noise), structure, point.values)
 
 
@@ -309,7 +336,7 @@ def _leads_elsewhere(problem: FitProblem, found: SearchResult, start: Fit, candi
     round. The winner itself is no second effect: a rival that needs it has not misled the search.
     """
     winner = found.rounds[0].rivals[0]
-    open_ = [c for c in candidates if c not in start.structure and c not in winner.added]
+    open_ = [c for c in _open_candidates(candidates, start) if c not in winner.added]
     seconds = selection_round.screen_candidates(problem, start, screening.trial_grids(problem, start, open_))
     return any(model_comparison.criterion_difference(h.point, winner.point) > 0.0 for h in seconds)
 
@@ -619,7 +646,7 @@ def _add_with_short_memory(
     """The model with up to `most` more effects, each judged at the noise and the contact mask of the model before it.
     And the rounds won."""
     rounds: list[Round] = []
-    while len(rounds) < most and (open_ := [c for c in candidates if c not in best.structure]):
+    while len(rounds) < most and (open_ := _open_candidates(candidates, best)):
         seen = selection_round.screen_candidates(problem, best, screening.trial_grids(problem, best, open_))
         if not any(
             model_comparison.gain(best, h.point) > thresholds.PROMISING_SHARE * thresholds.MIN_GAIN_AT_OTHER_MEMORY

@@ -75,6 +75,19 @@ def restart_tooth_stiffness(
     return refit(problem, structure, begun)
 
 
+def search_gap(problem: FitProblem, point: Fit) -> Fit:
+    """The likeliest maximum with a gap, from a new search of gap, shares and teeth beside the other values."""
+    rigid = point.structure.without("tooth_compliance").with_("backlash")
+    seen = multistart.excerpts(problem, rigid)
+
+    def looked(memory: float) -> Fit:
+        rough = multistart.coarse_fit(seen, rigid, preparation.complete_values(rigid, point.values), memory)
+        begin = {**point.values, **rough.values}
+        return restart_tooth_stiffness(problem.at(point.process_noise), rigid, begin)
+
+    return min(each(looked, multistart.COARSE_MEMORIES), key=lambda p: p.deviance)
+
+
 def restart_gap(problem: FitProblem, point: Fit) -> Fit:
     """The point, or a better one after a new search of gap, shares and teeth.
 
@@ -82,16 +95,7 @@ def restart_gap(problem: FitProblem, point: Fit) -> Fit:
     """
     if not point.structure.toothed:
         return point
-    rigid = point.structure.without("tooth_compliance")
-    seen = multistart.excerpts(problem, rigid)
-
-    def looked(memory: float) -> Fit:
-        rough = multistart.coarse_fit(seen, rigid, preparation.complete_values(rigid, point.values), memory)
-        return restart_tooth_stiffness(
-            problem.at(point.process_noise), point.structure, {**point.values, **rough.values}
-        )
-
-    return min([point, *each(looked, multistart.COARSE_MEMORIES)], key=lambda p: p.deviance)
+    return min(point, search_gap(problem, point), key=lambda p: p.deviance)
 
 
 def refit_through_best_noise(problem: FitProblem, point: Fit) -> Fit:
