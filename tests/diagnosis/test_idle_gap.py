@@ -71,7 +71,7 @@ def test_what_a_law_may_leave_is_its_error_squared_of_what_it_took() -> None:
     assert law_tolerance.doubt(fitted(700, 1.0), fitted(700, 2.0)) == 0.0
 
 
-@pytest.mark.parametrize(("effect", "name", "late"), [("motor_lag", "lag_time", 0.06), ("input_delay", "delay", 0.04)])
+@pytest.mark.parametrize(("effect", "name", "late"), [("motor_lag", "lag_time", 0.1), ("input_delay", "delay", 0.08)])
 def test_a_gap_that_stood_for_a_lag_is_looked_for_again_beside_it(effect: str, name: str, late: float) -> None:
     """Late torque looks like a gap as wide as any. Once the lag is known, the gap that is there shows."""
     values = {**GEARED, "backlash_gap": 0.03, name: late}

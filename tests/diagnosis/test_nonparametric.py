@@ -302,6 +302,26 @@ def test_what_a_filter_learns_after_a_silence_is_no_missing_torque():
     assert np.nanmax(np.abs(seen[after])) < 2.0 * np.nanmax(np.abs(usual))
 
 
+def test_a_torque_that_noise_of_the_readings_hides_shows_through_a_longer_memory():
+    """Noise makes the torque of one reading from the next, so a filter that remembers for longer lets in less of it."""
+    rng = np.random.default_rng(2)
+    _, base = fitted("bump")
+    for size, shows in ((1.0, True), (0.0, False)):
+        law = {n: size * v if n in names("unknown_position") else v for n, v in PLANTED.items()}
+        quiet = recorded(3, ("unknown_position",), **law).recording
+        read = quiet.output + 25.0 * COUNT * rng.standard_normal(len(quiet.output))
+        case = prepared_recording.prepare_recording(replace(quiet, output=read), STRUCTURE)
+        point = optimizer.fit_with_process_noise(FitProblem([case]), STRUCTURE, base.values, FREE)
+        short, both = (
+            nonparametric.examine_dependence(residual_torque.missing_torque(case, STRUCTURE, point.values)),
+            nonparametric.remaining_dependence(case, STRUCTURE, point.values),
+        )
+        assert not nonparametric.is_dependence_left(short)
+        assert nonparametric.is_dependence_left(both) is shows
+        assert not shows or (both.memory == max(nonparametric.MEMORIES) and "position" in both.variables)
+        assert set(both.sizes) == set(nonparametric.MEMORIES)
+
+
 def test_bump_over_position_is_found_and_drawn():
     case, base = fitted("bump")
     before = nonparametric.remaining_dependence(case, base.structure, base.values)
@@ -523,7 +543,7 @@ def test_names_that_leave_little_are_doubted_where_they_took_less_than_depends_o
     found = SearchResult(first, with_name(case, first, "quadratic_drag"), (), FitProblem((case,)))
     before = nonparametric.remaining_dependence(case, first.structure, first.values)
     size = before.size * np.sqrt(1.0 - took * before.share)
-    little = replace(before, share=0.5 * thresholds.FAINT_SHARE, size=float(size))
+    little = replace(before, share=0.5 * thresholds.FAINT_SHARE, size=float(size), sizes={})
     nameless = free_curves.best_curve(found, before, little, {})
     assert ("unknown_velocity" in nameless.structure) is drawn
     assert drawn or nameless is first

@@ -135,7 +135,7 @@ def replaces_names(found: SearchResult, nameless: Fit, left: Sequence[nonparamet
     follows = "unknown_velocity" in nameless.structure and all(
         e.slot == "grip" or e.id == "constant_offset" for e in new
     )
-    if new and follows and left[1].size < thresholds.DRY_FRICTION_SHARE * left[0].size:
+    if new and follows and nonparametric.share_removed(*left) > 1.0 - thresholds.DRY_FRICTION_SHARE**2:
         return False
     goes = any(one.p_value < thresholds.DEPENDENCE_MAX_P_VALUE for one in left) and selection_round.is_confirmed(
         found.problem, found.last, nameless

@@ -5,6 +5,9 @@ its means over bins of that state, always on stretches that these means have not
 filter's memory and louder in some states than in others. Its effect is seen when whole stretches get a random sign (the
 wild bootstrap of Liu, Ann. Stat. 16, 1988): the noise stays as it is, and no dependence remains. The best of all tables
 has to beat the best of all tables under such signs.
+
+The torque is read through two filters. A short memory sees what changes fast. A memory twice as long lets in a
+thirty-second of the variance that the noise of the readings makes, and shows what that noise would hide.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +39,9 @@ _TURN = 2.0 * math.pi
 #: Length of the stretches held out or given a sign, s.
 _BLOCK_LENGTH = 0.25
 _FOLDS = 10
+#: Memories of the filters that read the missing torque, s. From twice the longer one on, errors would be correlated
+#: beyond a stretch.
+MEMORIES = (residual_torque.TORQUE_MEMORY, 2.0 * residual_torque.TORQUE_MEMORY)
 _BOOTSTRAP_DRAWS = 199
 #: So many averages at zero does every bin get beside its own.
 _SHRINKAGE = 5.0
@@ -68,7 +74,7 @@ class RemainingDependence:
     """What is still predictable in the missing torque: the best of all dependences.
 
     `p_value` is the chance that noise does as well in any of the tables. `of_motion` is its size as a share of the
-    axis' acceleration.
+    axis' acceleration. `memory` is that of the filter that shows it, s; `sizes` has the size by each memory asked.
     """
 
     share: float
@@ -78,6 +84,12 @@ class RemainingDependence:
     size: float
     of_motion: float
     dependences: tuple[Dependence, ...]  # all that were looked at, the most telling first
+    memory: float = MEMORIES[0]
+    sizes: Mapping[float, float] = field(default_factory=dict)
+
+    def size_at(self, memory: float) -> float:
+        """The size that a filter with this memory (s) shows."""
+        return self.sizes.get(memory, self.size)
 
 
 #: The tables by name, and what they stand for in the contract.
@@ -241,8 +253,19 @@ def examine_dependence(missing: MissingTorque, lever: float = 1.0, seed: int = 1
 def remaining_dependence(
     case: PreparedRecording, structure: Structure, values: Mapping[str, float]
 ) -> RemainingDependence:
-    """Is there still structure in what a fitted model lacks that depends on the state?"""
-    return examine_dependence(residual_torque.missing_torque(case, structure, values), case.recording.lever)
+    """Is there still structure in what a fitted model lacks that depends on the state?
+
+    Of what the filters show, that counts which chance does not make, and of this the largest share. Each has its own
+    chance, so the p-value is that of both (Bonferroni).
+    """
+    found = []
+    for memory in MEMORIES:
+        missing = residual_torque.missing_torque(case, structure, values, memory)
+        one = examine_dependence(missing, case.recording.lever)
+        found.append(replace(one, p_value=min(len(MEMORIES) * one.p_value, 1.0), memory=memory))
+    sizes = {one.memory: one.size for one in found}
+    likely = [one for one in found if one.p_value < thresholds.DEPENDENCE_MAX_P_VALUE]
+    return replace(max(likely or found[:1], key=lambda one: one.share), sizes=sizes)
 
 
 def is_dependence_left(found: RemainingDependence) -> bool:
@@ -255,8 +278,8 @@ def is_dependence_left(found: RemainingDependence) -> bool:
 
 
 def share_removed(before: RemainingDependence, after: RemainingDependence) -> float:
-    """By what share names made the mean square of the missing torque smaller."""
-    return 1.0 - (after.size / max(before.size, 1e-300)) ** 2
+    """By what share names made the mean square of the missing torque smaller, through the filter that showed it."""
+    return 1.0 - (after.size_at(before.memory) / max(before.size, 1e-300)) ** 2
 
 
 def is_described(named: bool, before: RemainingDependence, after: RemainingDependence) -> bool:

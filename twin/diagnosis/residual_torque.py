@@ -21,8 +21,8 @@ FloatArray = NDArray[np.float64]
 
 #: Memory of the filter that reads the missing torque, s: short enough to see an edge, long enough to beat the count.
 TORQUE_MEMORY = 0.04
-#: Length of the averages in which it is regressed and laid out in tables, s.
-AVERAGING_TIME = 0.02
+#: Length of the averages in which it is regressed and laid out in tables, s: half of that memory.
+AVERAGING_TIME = 0.5 * TORQUE_MEMORY
 _BLOCKS = 20
 
 
@@ -37,6 +37,7 @@ class MissingTorque:
     acceleration: FloatArray
     command: FloatArray
     step: float  # median sample time, s
+    averaging: float = AVERAGING_TIME  # length of its averages, s
 
     @property
     def rms(self) -> float:
@@ -59,7 +60,7 @@ class MissingTorque:
         here = (self.time >= begin) & (self.time <= end)
         return MissingTorque(
             self.time[here], self.torque[here], self.position[here], self.velocity[here], self.acceleration[here],
-            self.command[here], self.step,
+            self.command[here], self.step, self.averaging,
         )  # fmt: skip
 
     def state(self, variable: str) -> FloatArray:
@@ -77,8 +78,8 @@ class MissingTorque:
         return chosen
 
     def averages(self) -> dict[str, FloatArray]:
-        """Torque and states, each averaged over `AVERAGING_TIME` (M,); NaN where any of what is averaged is."""
-        width = max(round(AVERAGING_TIME / self.step), 1)
+        """Torque and states, each averaged over `averaging` (M,); NaN where any of what is averaged is."""
+        width = max(round(self.averaging / self.step), 1)
         count = len(self.time) // width
         columns = {
             "torque": self.torque,
@@ -139,7 +140,7 @@ def _held_back(time: FloatArray, corrections: FloatArray, read: NDArray[np.intp]
 def missing_torque(
     case: PreparedRecording, structure: Structure, values: Mapping[str, float], memory: float = TORQUE_MEMORY
 ) -> MissingTorque:
-    """Read the missing torque off the corrections of a filter with the given memory, s.
+    """Read the missing torque off the corrections of a filter with the given memory, s. Its averages last half of that.
 
     A sensor may be read more slowly than it is logged. Each correction then covers the time since the last reading.
     """
@@ -147,7 +148,7 @@ def missing_torque(
     step = float(np.median(np.diff(case.drive.time)))
     read = np.flatnonzero(np.isfinite(case.drive.measured))
     usual = float(np.median(np.diff(case.drive.time[read]))) if len(read) > 1 else step
-    memory = max(memory, 4.0 * usual)
+    averaging, memory = 0.5 * memory, max(memory, 4.0 * usual)
     run = likelihood.filtered_states(case, structure, values, filter_memory.process_noise_of(case, memory))
     raw = _held_back(case.drive.time, run.pull * (case.drive.measured - run.reading), read, memory)
     # A second-order filter at its optimum delays by the square root of two of its memory; a first-order one by it.
@@ -164,6 +165,7 @@ def missing_torque(
         acceleration=np.gradient(velocity, case.drive.time),
         command=case.recording.input,
         step=step,
+        averaging=averaging,
     )
 
 
