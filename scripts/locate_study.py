@@ -2,11 +2,13 @@
 
     python scripts/locate_study.py --rigs 120
     python scripts/locate_study.py --rigs 10 --first 20
+    python scripts/locate_study.py --rigs 60 --places nowhere --gap no --between
 
 Each rig holds one effect that acts in a stretch of time, in a range of angle, in a band of speed or in one direction,
-or it is sound. Every second one has no gap. The first model is fitted, and its missing torque is asked where it acts.
-The table holds the F1 score of the stamps that are reported and the error of the input gain. It also holds the share of
-rigs whose missing torque goes with the right variable, and the share of sound rigs in which something is reported.
+or it is sound. Half of them have no gap. The first model is fitted, and its missing torque is asked where it acts. With
+`--between` the command changes between stamps, and shows from the next stamp on. The table holds the F1 score of the
+stamps that are reported and the error of the input gain, as fitted and as the missing torque corrects it. It also holds
+the share of rigs whose missing torque goes with the right variable, and of sound rigs in which something is reported.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import argparse
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +29,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import gearmotor_rig
 import textbook_rig
 from concealed import Concealed
-from excitations import EXCITATIONS, FREE
+from excitations import EXCITATIONS, Limits
 
-from twin.diagnosis import nonparametric, residual_torque
+from twin.diagnosis import localization, nonparametric, residual_torque
 from twin.diagnosis.residual_torque import MissingTorque
 from twin.effects.catalogue import BASE
 from twin.estimation import maximum_likelihood, preparation
@@ -49,9 +51,8 @@ PLACES: dict[str, tuple[Any, str, tuple[str, ...]]] = {
     "nowhere": (textbook_rig, "", ()),
 }
 GAPS = {textbook_rig: "gap", gearmotor_rig: "backlash_gap"}
+STEP, FINE = 0.002, 4  # s between stamps; parts of it at which a command may change
 SIZES = (0.1, 0.3)  # of an effect, over the drive's torque at 50 % duty
-LOUD = 0.5  # a bin is reported from this share of the loudest bin's power on
-BINS = 30
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,8 @@ class Score:
     gap: bool
     f1: float  # of the stamps that are reported; NaN where there is nothing to find
     right: bool  # the missing torque goes with the variable that it should, or with none
-    gain_error: float  # of the input gain, relative
+    gain_error: float  # of the fitted input gain, relative
+    corrected: float  # the same once the missing torque has been asked
 
 
 def f1(said: Flags, true: Flags) -> float:
@@ -87,32 +89,52 @@ def acts(effect: Concealed, run: Any) -> Flags:
 
 
 def reported(missing: MissingTorque, variable: str) -> Flags:
-    """The stamps (N,) that lie in segments of the recording, or in bins of a state, with most of the misfit."""
+    """The stamps (N,) that lie in segments of the recording, or in regimes of a state, that the tool reports."""
+    none = np.zeros(len(missing.time), dtype=bool)
     if variable == "time":
-        parts = residual_torque.segments(missing)
-        return np.any([(missing.time >= s.start) & (missing.time < s.end) for s in parts] or [missing.time < 0], axis=0)
-    values = missing.velocity if variable == "direction" else missing.state(variable)
-    if variable == "position":
-        values = values % (2.0 * math.pi)
-    known = np.isfinite(missing.torque)
-    count = 2 if variable == "direction" else BINS
-    edges = [0.0] if count == 2 else np.quantile(values[known], np.linspace(0.0, 1.0, count + 1)[1:-1])
-    label = np.searchsorted(edges, values)
-    power = np.bincount(label[known], missing.torque[known] ** 2, count)
-    power /= np.maximum(np.bincount(label[known], minlength=count), 1)
-    return np.asarray((power > LOUD * power.max())[label])
+        parts = localization.segments(missing)
+        return np.any([none, *((missing.time >= s.start) & (missing.time < s.end) for s in parts)], axis=0)
+    period = 2.0 * math.pi if variable == "position" else 0.0
+    values = missing.state(variable) % period if period else missing.state(variable)
+    found = localization.regimes(missing, variable, period)
+    inside = [(values >= r.low) & (values <= r.high) for r in found if r.low <= r.high]
+    across = [(values >= r.low) | (values <= r.high) for r in found if r.low > r.high]
+    return np.any([none, *inside, *across], axis=0) & ((values != 0.0) | (variable != "direction"))
 
 
-def judge(number: int, seed: int = 1, duration: float = 30.0) -> Score:
-    """One rig, all by seed and number: places take turns, and so do rigs with a gap and without."""
-    place, gap = list(PLACES)[number % len(PLACES)], number // len(PLACES) % 2 == 0
+def played(source: Any, rig: Any, concealed: Sequence[Concealed], signal: tuple[Array, Array], seed: int) -> Any:
+    """The run of a rig, at the stamps that are logged."""
+    run = source.simulate(rig, concealed, *signal, seed)
+    every = round(STEP / float(signal[0][1] - signal[0][0]))
+    arrays = {f.name: getattr(run, f.name) for f in fields(run)}
+    return replace(run, **{n: a[::every] for n, a in arrays.items() if isinstance(a, np.ndarray)})
+
+
+def kinds(places: Sequence[str], gaps: Sequence[bool]) -> list[tuple[str, bool]]:
+    """The kinds of rig, which take turns: where the effect acts, and whether there is a gap."""
+    return [(place, gap) for gap in gaps for place in places]
+
+
+@dataclass(frozen=True)
+class Study:
+    """What all rigs of a study share."""
+
+    kinds: Sequence[tuple[str, bool]] = tuple(kinds(list(PLACES), (True, False)))
+    seed: int = 1
+    duration: float = 30.0  # s
+    step: float = STEP  # s, at which the command may change
+
+
+def judge(number: int, study: Study) -> Score:
+    """One rig, all by seed and number."""
+    (place, gap), duration = study.kinds[number % len(study.kinds)], study.duration
     source, effect, variables = PLACES[place]
-    rng = np.random.default_rng([seed, number])
+    rng = np.random.default_rng([study.seed, number])
     rig = source.draw_rig(rng)
     rig = rig if gap else rig.with_(**{GAPS[source]: 0.0})
-    time, duty = EXCITATIONS["rich"](duration, rng, FREE)
+    signal = EXCITATIONS["rich"](duration, rng, Limits(sample_time=study.step))
     drawn = [source.draw_effect(rng, effect, rig, float(rng.uniform(*SIZES)), duration)] if effect else []
-    run = source.simulate(rig, drawn, time, duty, int(rng.integers(2**31)))
+    run = played(source, rig, drawn, signal, int(rng.integers(2**31)))
     count = 2.0 * math.pi / run.counts_per_revolution
     recording = Recording(f"rig {number}", run.time, run.duty, run.counts * count, "%", "rad", count)
     structure = preparation.base_structure() if gap else Structure.of(i for i in BASE if i != "backlash")
@@ -122,25 +144,35 @@ def judge(number: int, seed: int = 1, duration: float = 30.0) -> Score:
     left = nonparametric.examine_dependence(missing)
     goes = nonparametric.is_dependence_left(left)
     right = goes and bool(set(variables) & set(left.variables)) if drawn else not goes
-    score = f1(reported(missing, variables[0]), acts(drawn[0], run)) if drawn else math.nan
-    return Score(place, gap, score, right, point.values["input_gain"] / rig.model_values()["input_gain"] - 1.0)
+    local = localization.without_base(missing)
+    score = f1(reported(local, variables[0]), acts(drawn[0], run)) if drawn else math.nan
+    true, fitted = rig.model_values()["input_gain"], point.values["input_gain"]
+    corrected = fitted + localization.gain_error(missing)
+    return Score(place, gap, score, right, fitted / true - 1.0, corrected / true - 1.0)
 
 
 def table(scores: Sequence[Score]) -> str:
     """The scores by place, and by whether there is a gap."""
-    lines = [f"{'place':10} {'gap':4} {'rigs':>4} {'F1':>6} {'right':>6} {'gain error, median, %':>22}"]
+    lines = [f"{'place':10} {'gap':4} {'rigs':>4} {'F1':>6} {'right':>6} {'gain off, %':>12} {'corrected':>10}"]
     for place in PLACES:
         for gap in (True, False):
             own = [s for s in scores if s.place == place and s.gap == gap]
             if own:
+                kind = f"{place:10} {'yes' if gap else 'no':4} {len(own):4}"
                 mean, right = np.mean([s.f1 for s in own]), np.mean([s.right for s in own])
-                bias = 100.0 * float(np.median([s.gain_error for s in own]))
-                lines.append(
-                    f"{place:10} {'yes' if gap else 'no':4} {len(own):4} {mean:6.2f} {right:6.2f} {bias:22.2f}"
-                )
+                off, less = (100.0 * float(np.median(np.abs(e))) for e in zip(*map(_errors, own), strict=True))
+                lines.append(f"{kind} {mean:6.2f} {right:6.2f} {off:12.2f} {less:10.2f}")
+    for place in PLACES:
+        own = [s for s in scores if s.place == place]
+        if own and place != "nowhere":
+            lines.append(f"{place}: mean F1 {np.mean([s.f1 for s in own]):.3f} of {len(own)} rigs")
     alarms = [s for s in scores if s.place == "nowhere"]
     lines.append(f"false alarms on sound rigs: {sum(not s.right for s in alarms)} of {len(alarms)}")
     return "\n".join(lines)
+
+
+def _errors(score: Score) -> tuple[float, float]:
+    return score.gain_error, score.corrected
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -149,10 +181,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first rig, to go on where one stopped")
     parser.add_argument("--seed", type=int, default=1, help="draws everything")
     parser.add_argument("--duration", type=float, default=30.0, help="of a recording, s")
+    parser.add_argument("--places", nargs="+", choices=list(PLACES), default=list(PLACES))
+    parser.add_argument("--gap", choices=("yes", "no", "both"), default="both")
+    parser.add_argument("--between", action="store_true", help="the command changes between stamps, too")
     given = parser.parse_args(arguments)
+    gaps = {"yes": (True,), "no": (False,), "both": (True, False)}[given.gap]
+    step = STEP / FINE if given.between else STEP
+    study = Study(kinds(given.places, gaps), given.seed, given.duration, step)
     scores = []
     for number in range(given.first, given.first + given.rigs):
-        scores.append(judge(number, given.seed, given.duration))
+        scores.append(judge(number, study))
         print(f"rig {number}: {scores[-1]}", flush=True)
     print(table(scores))
 

@@ -13,7 +13,8 @@ from twin.diagnosis import residual_torque
 from twin.diagnosis.adequacy import Adequacy, Comparison, FreeRun, TorqueFigures
 from twin.diagnosis.change import Change
 from twin.diagnosis.coverage import Beyond
-from twin.diagnosis.residual_torque import MissingTorque, Segment
+from twin.diagnosis.localization import Segment
+from twin.diagnosis.residual_torque import MissingTorque
 from twin.diagnosis.result import Diagnosis, Estimate, Experiment, Finding, Fitness, Trace, Undecided
 from twin.io.preflight.finding import Finding as Preflight
 from twin.io.preflight.finding import Severity

@@ -11,6 +11,7 @@ from example_diagnosis import RIG, example, model_of, recording_of
 
 from twin.control import cosimulation, design
 from twin.diagnosis import result
+from twin.diagnosis.localization import Regime
 from twin.display.numbers import measure, percent, time_left
 from twin.estimation import two_stage
 from twin.io.rig_file import Column
@@ -157,6 +158,33 @@ def test_what_is_still_missing_is_said_where_something_is(verdict):
     assert (
         "1.2 rad/s² RMS of torque over inertia is still missing, 20 % of what the drive makes" in page.text
     ) == there
+
+
+@pytest.mark.parametrize(
+    ("regimes", "bias", "says"),
+    [
+        ([], 0.001, ""),
+        ([("velocity", 2.0, 3.0)], 0.0, "It acts where the speed is from 2.0 to 3.0 rad/s."),
+        (
+            [("position", 6.1, 0.25, 6.2832)],
+            -0.04,
+            "It acts where the position is from 6.1 to 0.25 rad within each turn.",
+        ),
+        ([("input", -40.0, -20.0), ("input", 20.0, 40.0)], 0.0, "from −40 to −20 % and from 20 to 40 %."),
+        ([("direction", -1.0, 0.0)], 0.0, "It acts in backward motion."),
+        ([("position", float(i), i + 0.5) for i in range(9)], 0.12, ""),
+    ],
+)
+def test_where_the_first_model_lacks_most_and_what_that_did_to_it_is_said(regimes, bias, says):
+    d = replace(example("explained"), regimes=tuple(Regime(*r) for r in regimes), gain_bias=bias)
+    said = wording.where(d)
+    assert says in said and ("It acts" in said) == bool(says)
+    size = {0.12: "12 % too large", -0.04: "4 % too small"}.get(bias)
+    assert ("input gain" in said) == bool(size) and (size or "").replace(" %", "\u202f%") in said
+    page = Page(html.html(story(diagnosis=d)))
+    assert said.replace("\u202f", " ") in page.text.replace("\u202f", " ")
+    kept = result.to_json(d)["mismatch"]
+    assert kept["gain_bias"] == bias and [r["from"] for r in kept["regimes"]] == [r[1] for r in regimes]
 
 
 def test_a_curve_without_a_name_is_said_and_shown():

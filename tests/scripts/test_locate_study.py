@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
 import locate_study
 from concealed import Concealed
-from locate_study import PLACES, Score
+from locate_study import Score, Study
 
 from twin.diagnosis.residual_torque import MissingTorque
 
@@ -51,13 +51,18 @@ def test_a_torque_that_acts_only_there_is_reported_there(
 
 
 def test_places_and_gaps_take_turns_and_the_table_counts_false_alarms() -> None:
-    alarm, calm = Score("nowhere", True, math.nan, False, 0.0), Score("nowhere", True, math.nan, True, 0.0)
-    printed = locate_study.table([alarm, calm, Score("angle", False, 0.8, True, 0.01)])
+    alarm, calm = Score("nowhere", True, math.nan, False, 0.0, 0.0), Score("nowhere", True, math.nan, True, 0.0, 0.0)
+    printed = locate_study.table([alarm, calm, Score("angle", False, 0.8, True, 0.01, 0.0)])
     assert "false alarms on sound rigs: 1 of 2" in printed
     assert [row.split()[:4] for row in printed.splitlines()[1:2]] == [["angle", "no", "1", "0.80"]]
 
 
 def test_a_push_is_found_in_time_on_a_rig_without_a_gap() -> None:
-    score = locate_study.judge(len(PLACES), duration=16.0)
+    score = locate_study.judge(5, Study([("time", False)], duration=16.0))
     assert (score.place, score.gap, score.right) == ("time", False, True)
-    assert score.f1 > 0.6 and abs(score.gain_error) < 0.05
+    assert score.f1 > 0.6 and abs(score.corrected) < 0.03
+
+
+def test_where_the_command_changes_between_stamps_a_sound_rig_is_left_alone() -> None:
+    study = Study([("nowhere", False)], duration=16.0, step=locate_study.STEP / locate_study.FINE)
+    assert locate_study.judge(0, study).right

@@ -22,6 +22,7 @@ from twin.diagnosis import (
     handed_out,
     held_sensor,
     holdout,
+    localization,
     model_comparison,
     name_tests,
     nonparametric,
@@ -33,6 +34,8 @@ from twin.diagnosis import (
 from twin.diagnosis import verdict as claims
 from twin.diagnosis.data_split import Intervals, RecordingPart
 from twin.diagnosis.forward_selection import Progress, SearchResult
+from twin.diagnosis.localization import Regime
+from twin.diagnosis.residual_torque import MissingTorque
 from twin.diagnosis.result import Diagnosis, Estimate, Experiment, Finding, Fitness, NotBorneOut, Trace
 from twin.display.numbers import number
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN, pages
@@ -343,6 +346,13 @@ def _choice_sentences(chosen: _Chosen, first: Structure, unit: str) -> list[str]
     return said
 
 
+def _free_runs(searched: _Searched, before: Model, after: Model, closed: bool) -> list[Trace]:
+    """Both models beside what was fitted and what was held out, by the names that the user knows."""
+    runs = [*(("train", RecordingPart(r)) for r in searched.train), *(("holdout", p) for p in searched.held_out)]
+    names = [*searched.names, *(p.recording.name for p in searched.held_out)]
+    return [replace(t, name=n) for t, n in zip(holdout.traces(before, after, runs, closed), names, strict=True)]
+
+
 def _diagnosed(
     recordings: Sequence[Recording],
     first: Structure,
@@ -368,15 +378,12 @@ def _diagnosed(
     chosen, pair = _models_of(chosen, searched, first)
     before, after = pair.first.model, pair.last.model
     laps.end("adequacy")
-    missing = [
-        residual_torque.missing_torque(chosen.case, j.fit.structure, j.fit.values) for j in (pair.first, pair.last)
-    ]
+    fits = (pair.first.fit, pair.last.fit)
+    missing = [residual_torque.missing_torque(chosen.case, p.structure, p.values) for p in fits]
     shapes = [tuple(residual_torque.torque_shapes(m)) for m in missing]
     laps.end("locate")
     tell("checking on held-out data through the FMU", 0.9)
-    runs = [*(("train", RecordingPart(r)) for r in searched.train), *(("holdout", p) for p in searched.held_out)]
-    names = [*searched.names, *(p.recording.name for p in searched.held_out)]
-    shown = [replace(t, name=n) for t, n in zip(holdout.traces(before, after, runs, closed), names, strict=True)]
+    shown = _free_runs(searched, before, after, closed)
     fit = _fit_by_role(shown, chosen.found.problem, pair)
     laps.end("held-out check through FMPy")
     findings = (*_findings(chosen.found, after, first), *held_sensor.finding(recordings))
@@ -395,7 +402,7 @@ def _diagnosed(
         station=EFFECTS[added[0]].station if added else "",
         depends_on=depends if claim.verdict != "nothing_missing" else (),
         telling=telling,
-        segments=tuple(residual_torque.segments(missing[0])),
+        segments=tuple(localization.segments(localization.without_base(missing[0]))),
         before=before,
         after=after,
         fit=fit,
@@ -411,7 +418,26 @@ def _diagnosed(
         seconds=laps.seconds,
         not_borne_out=chosen.failed,
         adequacy=replace(pair.figures, says=claim.says),
+        regimes=_regimes(chosen, missing[0]),
+        gain_bias=_gain_bias(chosen, missing[0], before.values["input_gain"]),
     )
+
+
+def _gain_bias(chosen: _Chosen, missing: MissingTorque, fitted: float) -> float:
+    """By what share the first model's input gain is too large because of what it lacks; 0 where it lacks nothing."""
+    if not nonparametric.is_dependence_left(chosen.left[0]):
+        return 0.0
+    straight = fitted + localization.gain_error(missing)
+    return fitted / straight - 1.0 if straight > 0.0 else 0.0
+
+
+def _regimes(chosen: _Chosen, missing: MissingTorque) -> tuple[Regime, ...]:
+    """Where the first model lacks most, in the variable that this goes with. An angle counts from turn to turn."""
+    lacking = chosen.left[0]
+    if not nonparametric.is_dependence_left(lacking) or lacking.table.startswith("wave"):
+        return ()
+    turn = 2.0 * math.pi if lacking.table.startswith("angle") else 0.0
+    return tuple(localization.regimes_of(localization.without_base(missing), lacking.variables, turn))
 
 
 def _remarks(found: SearchResult, fit: Mapping[str, Mapping[str, Fitness]], roughness: float) -> list[str]:

@@ -106,15 +106,6 @@ class TorqueShape:
     share: float  # of the missing torque's variance that this shape predicts on blocks it was not drawn from
 
 
-@dataclass(frozen=True)
-class Segment:
-    """A stretch of the recording and its share of the whole misfit."""
-
-    start: float
-    end: float
-    share: float
-
-
 def _advanced(values: FloatArray, samples: int) -> FloatArray:
     if samples <= 0:
         return values
@@ -204,28 +195,3 @@ def torque_shape(missing: MissingTorque, variable: str, bins: int = 30) -> Torqu
 def torque_shapes(missing: MissingTorque) -> list[TorqueShape]:
     """The shape over every variable, the most telling first."""
     return sorted((torque_shape(missing, v) for v in VARIABLES), key=lambda s: -s.share)
-
-
-def segments(missing: MissingTorque, window: float = 0.5, most: int = 8) -> list[Segment]:
-    """The stretches that hold most of the misfit, in order of time."""
-    ok = np.isfinite(missing.torque)
-    if not ok.any():
-        return []
-    width = max(window, 5.0 * missing.step)
-    which = (missing.time[ok] / width).astype(np.intp)
-    energy = np.bincount(which, missing.torque[ok] ** 2 * missing.step)
-    total = float(energy.sum())
-    if total <= 0.0:
-        return []
-    loud = energy > max(3.0 * float(np.median(energy)), 0.5 * total / len(energy))
-    found, start = [], None
-    for i in range(len(energy) + 1):
-        inside = i < len(energy) and loud[i]
-        if inside and start is None:
-            start = i
-        elif not inside and start is not None:
-            share = float(energy[start:i].sum()) / total
-            found.append(Segment(start * width, min(i * width, float(missing.time[-1])), share))
-            start = None
-    found.sort(key=lambda s: -s.share)
-    return sorted(found[:most], key=lambda s: s.start)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from twin.diagnosis import adequacy, change
 from twin.diagnosis.adequacy import Adequacy
 from twin.diagnosis.change import Change
-from twin.diagnosis.residual_torque import MissingTorque, Segment, TorqueShape
+from twin.diagnosis.localization import Regime, Segment
+from twin.diagnosis.residual_torque import MissingTorque, TorqueShape
 from twin.display.numbers import measure, number, percent
 from twin.display.table import DisplayTable, Tabular
 from twin.io.recording import Recording, faults_of, preflight_of
@@ -117,7 +118,7 @@ class Diagnosis(Tabular):
     station: str
     depends_on: tuple[str, ...]
     telling: str  # name of the training recording in which the first model lacks most
-    segments: tuple[Segment, ...]  # of it
+    segments: tuple[Segment, ...]  # of it, in which the first model lacks most
     before: Model  # its best free run
     after: Model
     fit: Mapping[str, Mapping[str, Fitness]]
@@ -136,6 +137,8 @@ class Diagnosis(Tabular):
     since: tuple[str, ...] = ()  # sentences on that model: how it runs as it is, and what changed since it was made
     not_borne_out: tuple[NotBorneOut, ...] = ()  # names that were tried and failed
     adequacy: Adequacy = field(default_factory=Adequacy)
+    regimes: tuple[Regime, ...] = ()  # values of a variable at which the first model lacks most
+    gain_bias: float = 0.0  # of the first model's input gain because of what it lacks, relative
 
     @property
     def model(self) -> Model:
@@ -188,6 +191,10 @@ def to_json(diagnosis: Diagnosis, experiment_file: str = "") -> dict[str, Any]:
             "depends_on": list(d.depends_on),
             "recording": d.telling,
             "segments": [{"start": s.start, "end": s.end, "share": s.share} for s in d.segments],
+            "regimes": [
+                {"variable": r.variable, "from": r.low, "to": r.high, "period": r.period or None} for r in d.regimes
+            ],
+            "gain_bias": d.gain_bias,
         },
         "fit": {role: {when: _fitness(f) for when, f in both.items()} for role, both in d.fit.items()},
         "preflight": preflight_of(d.recordings),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.diagnosis import coverage, data_split, holdout, model_comparison, residual_torque
+from twin.diagnosis import coverage, data_split, holdout, localization, model_comparison, residual_torque
 from twin.diagnosis.adequacy import Adequacy
 from twin.diagnosis.data_split import RecordingPart
 from twin.diagnosis.result import Diagnosis, Fitness, Trace
@@ -49,7 +49,7 @@ def unfinished(recordings: Sequence[Recording], before: Model, after: Model) -> 
         station="",
         depends_on=(),
         telling=to_fit(recordings)[train.index(longest)].name,
-        segments=tuple(residual_torque.segments(missing[0])),
+        segments=tuple(localization.segments(localization.without_base(missing[0]))),
         before=before,
         after=after,
         fit={role: _fitness([t for t in traces if t.role == role]) for role in ("train", "holdout")},

@@ -23,7 +23,8 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from twin.control.cosimulation import Tracking
-from twin.diagnosis.residual_torque import Segment, TorqueShape
+from twin.diagnosis.localization import Segment
+from twin.diagnosis.residual_torque import TorqueShape
 from twin.diagnosis.result import Diagnosis, Experiment, Trace
 from twin.display.numbers import unit_text
 from twin.estimation.two_stage import TwoStage

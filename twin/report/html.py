@@ -12,7 +12,7 @@ import numpy as np
 from twin.codegen import latex
 from twin.control.controller import Controller
 from twin.control.cosimulation import Tracking
-from twin.diagnosis.residual_torque import segments
+from twin.diagnosis import localization
 from twin.diagnosis.result import Diagnosis, Finding, Fitness
 from twin.display.numbers import capital, listed, measure, number, percent, pretty, unit_text
 from twin.effects.catalogue import BASE, EFFECTS, UNKNOWN
@@ -208,7 +208,7 @@ def _found(story: Story) -> str:
 
 def _still_missing(story: Story) -> str:
     d = story.diagnosis
-    stretches = segments(d.missing_after)
+    stretches = localization.segments(localization.without_base(d.missing_after))
     says = wording.still_missing(d, stretches)
     if not says:
         return ""
@@ -341,6 +341,8 @@ def _residual(story: Story) -> str:
             for s in worst
         )
         parts.append(_tag("p", f"Stretches with most of the misfit: {said}."))
+    if where := wording.where(d):
+        parts.append(_said(where))
     return _section("residual", "What the first model gets wrong" if changed else "What is left over", *parts)
 
 

@@ -11,7 +11,7 @@ from twin.effects.catalogue import EFFECTS, UNKNOWN
 
 if TYPE_CHECKING:
     from twin.control.cosimulation import Tracking
-    from twin.diagnosis.residual_torque import Segment
+    from twin.diagnosis.localization import Segment
     from twin.diagnosis.result import Diagnosis, Fitness, Undecided
     from twin.io.recording import Recording, Rig
     from twin.model.fitted_model import Model
@@ -24,6 +24,10 @@ VARIABLES = {
 
 #: The least share of the missing torque that a variable has to predict to be named.
 LEAST_SHARE = 0.05
+#: An input gain that is off by less is not worth a sentence.
+LEAST_BIAS = 0.01
+#: So many ranges of a variable are put into words; more say that it acts all over.
+MOST_REGIMES = 3
 
 
 def undetermined_sentence(model: Model) -> str:
@@ -123,6 +127,29 @@ def fit_sentence(diagnosis: Diagnosis) -> str:
             where = _held_out_part(diagnosis) if role == "holdout" else "On the training data"
             return _fit_change(both["before"], both["after"], unit, where)
     return "There were no readings to compare a simulation with."
+
+
+def where(diagnosis: Diagnosis) -> str:
+    """At which values the first model lacks most, and how that bent its gain; "" where neither can be said."""
+    share = diagnosis.gain_bias
+    size = "large" if share > 0.0 else "small"
+    bent = f"It made the first model's input gain {percent(abs(share))} too {size}." if abs(share) > LEAST_BIAS else ""
+    return " ".join(s for s in (_at_values(diagnosis), bent) if s)
+
+
+def _at_values(diagnosis: Diagnosis) -> str:
+    """The values at which the first model lacks most; "" where it lacks something everywhere."""
+    regimes = diagnosis.regimes
+    if not 0 < len(regimes) <= MOST_REGIMES:
+        return ""
+    if regimes[0].variable == "direction":
+        return f"It acts in {'forward' if regimes[0].high > 0.0 else 'backward'} motion."
+    axis = diagnosis.after.axis_unit
+    units = {"position": axis, "velocity": f"{axis}/s", "acceleration": f"{axis}/s^2"}
+    unit = unit_text(units.get(regimes[0].variable, diagnosis.recordings[0].input_unit))
+    ranges = listed([f"from {number(r.low, 2)} to {number(r.high, 2)} {unit}" for r in regimes])
+    turns = " within each turn" if regimes[0].period else ""
+    return f"It acts where the {VARIABLES[regimes[0].variable].removeprefix('the ')} is {ranges}{turns}."
 
 
 def still_missing(diagnosis: Diagnosis, stretches: Sequence[Segment]) -> str:
