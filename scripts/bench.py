@@ -78,12 +78,12 @@ def bench_kernel() -> None:
     drive = kernel.Drive(stamps, duty, unseen, False, kernel.known_vector({}), np.zeros(5), 0.0020001)
     p = kernel.vector(Structure.of(BASE), BASE_VALUES)
     x, names = kernel.start_state(0.0, 0.0, 0.0), tuple(BASE_VALUES)
-    slope = np.zeros((len(x), len(names)))
+    tangents = kernel.fixed_start(names)
     position = kernel.predict(drive, p, x).reading
-    kernel.predict_with_slopes(drive, p, x, slope, names)
+    kernel.predict_with_slopes(drive, p, x, tangents)
     print(f"first call, loading or compiling included: {time.perf_counter() - start:.1f} s")
     value = best(lambda: kernel.predict(drive, p, x))
-    slopes = best(lambda: kernel.predict_with_slopes(drive, p, x, slope, names))
+    slopes = best(lambda: kernel.predict_with_slopes(drive, p, x, tangents))
     bare = bare_loop(duty)
     print(f"{SAMPLES} samples, base model, one core:")
     if bare is not None:

@@ -99,9 +99,12 @@ def test_no_function_is_longer_than_sixty_lines():
     assert not long, "split them into stages with names; a text of the stepper's language into sections"
 
 
-def test_no_function_of_a_study_takes_more_than_six_parameters():
-    for path in set(sources()) - set(modules()):
+def test_no_function_takes_more_than_six_parameters():
+    """The stepper's own language has no objects: what is translated from it is another matter."""
+    for path in sources():
         for function in functions(path):
+            if path.parent.name == "codegen" or path.name == "stations.py":
+                continue
             given = [*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs]
             assert len(given) <= 6, f"{path.name}, {function.name}: make one object of what belongs together"
 

@@ -427,11 +427,11 @@ def test_derivative_is_that_of_the_computed_trajectory(effect, monkeypatch):
     names = tuple(dict.fromkeys([*(p.name for p in looked), "viscous_friction"]))
     recording = drive(0.002 * np.arange(count), command, 0.0021)
     vector, start = kernel.vector(structure, values), kernel.start_state(0.0, 0.0, 0.0)
-    compiled = kernel.predict_with_slopes(recording, vector, start, np.zeros((len(STATES), len(names))), names)
+    compiled = kernel.predict_with_slopes(recording, vector, start, kernel.fixed_start(names))
     assert np.allclose(compiled.reading, kernel.predict(recording, vector, start).reading, rtol=0.0, atol=1e-13)
     monkeypatch.setattr(kernel, "PRECISION", np.float64)
     monkeypatch.setattr(kernel, "_serving", lambda p: interpreted())
-    written = kernel.predict_with_slopes(recording, vector, start, np.zeros((len(STATES), len(names))), names)
+    written = kernel.predict_with_slopes(recording, vector, start, kernel.fixed_start(names))
     assert np.allclose(written.reading, compiled.reading, rtol=0.0, atol=1e-13)
     exact = {n: EXACT(v) for n, v in values.items()}
     for j, name in enumerate(names):
@@ -453,7 +453,7 @@ def test_derivative_with_respect_to_the_start():
     start = kernel.start_state(0.2, 0.4, 0.5 * values["backlash_gap"])
     slope = np.zeros((len(STATES), 2))
     slope[0, 0] = slope[1, 1] = slope[3, 1] = 1.0
-    slopes = kernel.predict_with_slopes(recording, vector, start, slope, ("start_a", "start_b")).slopes
+    slopes = kernel.predict_with_slopes(recording, vector, start, dict(zip("ab", slope.T, strict=True))).slopes
     for j in range(2):
         up, down = (kernel.predict(recording, vector, start + s * 1e-6 * slope[:, j]).reading for s in (1, -1))
         assert np.allclose((up - down) / 2e-6, slopes[:, j], rtol=0.0, atol=1e-5)

@@ -163,6 +163,6 @@ def sensitivities(model: Model, u: np.ndarray, names: tuple[str, ...]) -> np.nda
         model.longest_step,
     )  # fmt: skip
     x = kernel.start_state(0.0, 0.0, 0.0)
-    slope = np.zeros((len(x), len(names)))
-    run = kernel.predict_with_slopes(drive, kernel.vector(model.structure, dict(model.values)), x, slope, names)
+    p = kernel.vector(model.structure, dict(model.values))
+    run = kernel.predict_with_slopes(drive, p, x, kernel.fixed_start(names))
     return np.array(run.slopes[-1]).reshape(-1)[: len(names)]

@@ -14,7 +14,7 @@ from twin.estimation import filter_memory, likelihood, preparation, prepared_rec
 from twin.estimation.prepared_recording import PreparedRecording
 from twin.estimation.problem import FitProblem
 from twin.io.recording import Loop, Recording
-from twin.model.stepper import STATES, Structure
+from twin.model.stepper import Structure
 from twin.simulation import kernel
 
 STRUCTURE = Structure.of(
@@ -45,7 +45,7 @@ def test_slopes_in_pieces_are_those_of_the_whole(most: int, closed: bool) -> Non
     case = prepared_recording.prepare_recording(recording, STRUCTURE, closed=closed)
     p = kernel.vector(STRUCTURE, VALUES)
     noise = filter_memory.filter_noise(case, filter_memory.process_noise_of(case, 0.1))
-    given = (case.drive, p, kernel.start_state(*case.start, 0.0), np.zeros((len(STATES), len(FREE))), FREE, noise)
+    given = (case.drive, p, kernel.start_state(*case.start, 0.0), kernel.fixed_start(FREE), noise)
     whole = kernel.predict_with_slopes(*given)
     parts = list(kernel.in_pieces(*given, most))
     assert [at.start for at, _ in parts] == list(range(0, 6000, most))

@@ -14,7 +14,7 @@ from twin.estimation import filter_memory, likelihood, optimizer, prepared_recor
 from twin.estimation.prepared_recording import PreparedRecording
 from twin.estimation.problem import FitProblem
 from twin.io.recording import Recording
-from twin.model.stepper import STATES, Structure
+from twin.model.stepper import Structure
 from twin.simulation import kernel
 from twin.simulation.kernel import Noise
 
@@ -97,8 +97,7 @@ def test_slopes_of_the_filtered_reading_are_differences(silence: float) -> None:
     )
     noise = replace(noise, silence=silence)
     names = ("input_gain", "dead_band_forward")
-    none = np.zeros((len(STATES), len(names)))
-    run = kernel.predict_with_slopes(case.drive, kernel.vector(STRUCTURE, VALUES), x, none, names, noise)
+    run = kernel.predict_with_slopes(case.drive, kernel.vector(STRUCTURE, VALUES), x, kernel.fixed_start(names), noise)
     for j, name in enumerate(names):
         h = 1e-7 * VALUES[name]
         up, down = (

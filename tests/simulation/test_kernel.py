@@ -12,7 +12,7 @@ import pytest
 from axis_runs import drive
 
 from twin.effects.catalogue import BASE
-from twin.model.stepper import STATES, Structure
+from twin.model.stepper import Structure
 from twin.simulation import kernel
 
 
@@ -44,8 +44,7 @@ def test_no_derivative_is_given_for_what_is_never_fitted():
     recording, values = drive(0.002 * np.arange(9), np.zeros(9)), {p.name: p.start for p in structure.parameters}
     vector, start = kernel.vector(structure, values), kernel.start_state(0.0, 0.0, 0.0)
     with pytest.raises(ValueError, match="sag_reference"):
-        none = np.zeros((len(STATES), 2))
-        kernel.predict_with_slopes(recording, vector, start, none, ("input_gain", "sag_reference"))
+        kernel.predict_with_slopes(recording, vector, start, kernel.fixed_start(["input_gain", "sag_reference"]))
 
 
 def test_slopes_that_a_resting_axis_forgets_end_as_nothing_not_as_numbers_that_processors_are_slow_with():
@@ -59,7 +58,7 @@ def test_slopes_that_a_resting_axis_forgets_end_as_nothing_not_as_numbers_that_p
     vector, start = kernel.vector(structure, values), kernel.start_state(0.0, 0.0, 0.0)
     noise = kernel.Noise(1e5)
     read = replace(moved, measured=kernel.predict(moved, vector, start).reading)
-    run = kernel.predict_with_slopes(read, vector, start, np.zeros((len(STATES), len(names))), names, noise)
+    run = kernel.predict_with_slopes(read, vector, start, kernel.fixed_start(names), noise)
     moving, last = run.slopes[time < 1.0], run.slopes[time > 29.0]
     assert np.abs(moving).max() > 1e-3
     assert not last.any()

@@ -125,7 +125,7 @@ def innovations_in_pieces(
     if case.free_run is not None:
         drive = replace(drive, measured=np.where(case.free_run, np.nan, drive.measured))
     if free:
-        runs = kernel.in_pieces(drive, p, x, slope, free, noise, most)
+        runs = kernel.in_pieces(drive, p, x, dict(zip(free, slope.T, strict=True)), noise, most)
     else:
         runs = iter([(slice(None), kernel.predict(drive, p, x, noise))])
     judge = kernel.compiled().judging

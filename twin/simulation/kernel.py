@@ -12,7 +12,7 @@ import inspect
 import math
 import re
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
@@ -35,6 +35,8 @@ from twin.simulation.compile_cache import module_of
 
 FloatArray = NDArray[np.float64]
 Lanes = NDArray[np.float32]
+#: Derivative of the initial state (states,) with respect to each parameter, by its name.
+Tangents = Mapping[str, FloatArray]
 _LOOPS = (
     *kalman_loops.LOOPS,
     likelihood_loops.judging,
@@ -235,14 +237,19 @@ def _aligned(*shape: int) -> Lanes:
     return room[first : first + count].reshape(shape)
 
 
-def in_pieces(
-    drive: Drive, p: FloatArray, x: FloatArray, slope: FloatArray, names: tuple[str, ...], noise: Noise, most: int
-) -> Iterator[tuple[slice, Prediction]]:
-    """As `predict`, with the derivative with respect to the named parameters, at most so many stamps at a time.
+def fixed_start(names: Iterable[str]) -> dict[str, FloatArray]:
+    """The tangents of parameters that do not move the initial state."""
+    return {name: np.zeros(len(STATES)) for name in names}
 
-    `slope` (states, n) is the derivative of the initial state. Yields the stamps and what holds there. Raises
-    ValueError where a parameter is named that is never fitted.
+
+def in_pieces(
+    drive: Drive, p: FloatArray, x: FloatArray, tangents: Tangents, noise: Noise, most: int
+) -> Iterator[tuple[slice, Prediction]]:
+    """As `predict`, with the derivative with respect to some parameters, at most so many stamps at a time.
+
+    Yields the stamps and what holds there. Raises ValueError where a parameter is named that is never fitted.
     """
+    names, slope = tuple(tangents), np.array(list(tangents.values())).reshape(-1, len(STATES)).T
     if never := forward_derivative.NEVER.intersection(names):
         raise ValueError(f"no derivative was written for what is never fitted: {', '.join(sorted(never))}")
     n, count = len(names), len(drive.time)
@@ -284,10 +291,10 @@ def in_pieces(
 
 
 def predict_with_slopes(
-    drive: Drive, p: FloatArray, x: FloatArray, slope: FloatArray, names: tuple[str, ...], noise: Noise = FREE
+    drive: Drive, p: FloatArray, x: FloatArray, tangents: Tangents, noise: Noise = FREE
 ) -> Prediction:
     """All of `in_pieces` at once."""
-    return next(in_pieces(drive, p, x, slope, names, noise, len(drive.time)))[1]
+    return next(in_pieces(drive, p, x, tangents, noise, len(drive.time)))[1]
 
 
 def warm(structure: Structure) -> None:
@@ -296,7 +303,7 @@ def warm(structure: Structure) -> None:
     drive = Drive(time, time, time.copy(), False, known_vector({}), np.zeros(5), 0.5)
     p = vector(structure, {})
     start = start_state(0.0, 0.0, 0.0)
-    predict_with_slopes(drive, p, start, np.zeros((len(start), 1)), ("input_gain",))
+    predict_with_slopes(drive, p, start, fixed_start(["input_gain"]))
     predict(drive, p, start)
 
 

@@ -25,6 +25,8 @@ from twin.io import recording as recordings
 from twin.report.misfit_plot import worst_second
 
 FloatArray = NDArray[np.floating]
+#: Each recording of a log, and what an FMU made of its input.
+Replays = list[tuple[recordings.Recording, Replay]]
 
 
 @dataclass(frozen=True)
@@ -38,9 +40,7 @@ class Checks:
         """The FMU, opened and checked. Raises BadInput."""
         return open_fmu(Path(fmu))
 
-    def replay(
-        self, fmu: str | Path, log: str | Path, rig: str | Path | None = None
-    ) -> list[tuple[recordings.Recording, Replay]]:
+    def replay(self, fmu: str | Path, log: str | Path, rig: str | Path | None = None) -> Replays:
         """The recorded input of every recording in the log through the FMU. Raises BadInput."""
         loaded, _ = recordings.load([Path(log)], Path(rig) if rig else None)
         return [(r, replay(Path(fmu), r)) for r in loaded]
@@ -53,27 +53,25 @@ class Checks:
 
         With `ahead` it is the error of the prediction so many seconds ahead, over the range of the change in that time.
         """
-        return self._assert_fit(fmu, log, rig, ahead, "nrmse_percent", max_percent)
+        return self._assert_fit(fmu, self.replay(fmu, log, rig), ahead, "nrmse_percent", max_percent)
 
     def assert_rmse(
         self, fmu: str | Path, log: str | Path, max_error: float, rig: str | Path | None = None,
         ahead: float | None = None,
     ) -> float:  # fmt: skip
         """As `assert_nrmse`, for the root mean square error in the unit of the output."""
-        return self._assert_fit(fmu, log, rig, ahead, "rmse", max_error)
+        return self._assert_fit(fmu, self.replay(fmu, log, rig), ahead, "rmse", max_error)
 
     def assert_peak(
         self, fmu: str | Path, log: str | Path, max_error: float, rig: str | Path | None = None,
         ahead: float | None = None,
     ) -> float:  # fmt: skip
         """As `assert_nrmse`, for the largest error in the unit of the output."""
-        return self._assert_fit(fmu, log, rig, ahead, "peak", max_error)
+        return self._assert_fit(fmu, self.replay(fmu, log, rig), ahead, "peak", max_error)
 
-    def _assert_fit(
-        self, fmu: str | Path, log: str | Path, rig: str | Path | None, ahead: float | None, figure: str, limit: float
-    ) -> float:
+    def _assert_fit(self, fmu: str | Path, replays: Replays, ahead: float | None, figure: str, limit: float) -> float:
         worst = 0.0
-        for recording, replayed in self.replay(fmu, log, rig):
+        for recording, replayed in replays:
             found = misfit(recording, replayed, ahead)
             value = float(getattr(found, figure))
             worst = max(worst, value)
