@@ -12,7 +12,7 @@
       "rev/s": "turns/s", rpm: "rpm", "count/s": "counts/s", "m/s": "m/s", "mm/s": "mm/s",
     },
   };
-  let columns = [], sections = {}, remarks = {}, unsure = [];
+  let columns = [], sections = {}, remarks = {};
 
   async function ask(path, body) {
     const options = body === undefined ? {} : {method: "POST", body: body instanceof Blob ? body : JSON.stringify(body)};
@@ -103,7 +103,6 @@
     for (const title of ["time", "input", "output"]) sections[title] ||= {};
     remarks = Object.fromEntries(Object.entries(looked.sections).map(([title, table]) => [title, table.remarks]));
     $("name").textContent = looked.name;
-    unsure = looked.unsure || [];
     fields();
     show(looked);
     step("columns");
@@ -132,9 +131,6 @@
     if (value === "" || value === undefined) delete sections[title][key];
     else sections[title][key] = value;
     if (remarks[title]) delete remarks[title][key];
-    /* What the user has set is no longer unsure. */
-    const about = [key, `'${sections[title].column}'`, `the unit of ${title}`];
-    unsure = unsure.filter(text => !about.some(word => text.includes(word)));
   }
   function time() {
     const own = sections.time, none = [["", "no column: a fixed step"], ...names()];
@@ -193,7 +189,6 @@
   function fields() {
     const focus = [...$("fields").querySelectorAll("select, input")].indexOf(document.activeElement);
     $("fields").replaceChildren(time(), input(), output());
-    $("unsure").replaceChildren(...items(unsure));
     if (focus >= 0) $("fields").querySelectorAll("select, input")[focus]?.focus();
   }
   $("form").addEventListener("submit", event => event.preventDefault());
@@ -214,6 +209,7 @@
     $("blocked").hidden = !chosen.problem;
     $("start").disabled = Boolean(chosen.problem);
     $("says").textContent = sentence(chosen.says);
+    if (chosen.unsure) $("unsure").replaceChildren(...items(chosen.unsure));
     $("notes").replaceChildren(...items([...(chosen.notes || []), ...(chosen.faults || [])].slice(0, 12)));
     $("rig").textContent = chosen.text;
     panels("preview", chosen.panels);

@@ -104,12 +104,17 @@ class Session:
         chosen = self._ask("choose", sections)
         tables = {title: {"keys": keys, "remarks": {}} for title, keys in sections.items()}
         # What the user has set is no longer unsure.
-        before = self.sections
-        set_now = [k for title, keys in sections.items() for k, v in keys.items() if before.get(title, {}).get(k) != v]
-        unsure = [u for u in self.looked["unsure"] if not any(key in u for key in set_now)]
+        settled = [word for title, keys in sections.items() for word in self._set_now(title, keys)]
+        chosen["unsure"] = [u for u in self.looked["unsure"] if not any(word in u for word in settled)]
         self.sections, self.state, self.result = sections, "choosing", {}
-        self.looked = {**self.looked, "problem": "", **chosen, "sections": tables, "unsure": unsure}
+        self.looked = {**self.looked, "problem": "", **chosen, "sections": tables}
         return chosen
+
+    def _set_now(self, title: str, keys: Mapping[str, Any]) -> list[str]:
+        """What names, in a doubt, that which these keys of a section set anew."""
+        before = self.sections.get(title, {})
+        changed = [key for key, value in keys.items() if before.get(key) != value]
+        return [*changed, f"'{keys.get('column')}'", f"the unit of {title}"] if changed else []
 
     def _check_free(self) -> None:
         if self.state in ("searching", "finishing"):
