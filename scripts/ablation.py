@@ -5,7 +5,8 @@
     python scripts/ablation.py --count
 
 A trial is one of scripts/blind_trial.py: simulator, seed and number. By default it is each of a list of trials whose
-answer was near another one. The table holds, for every rule, the trials whose answer changed without it, and those that
+answer was near another one. A rule that did nothing in a trial changes no answer there, and is not switched off in it.
+The table holds, for every rule, the trials in which it acted, those whose answer changed without it, and those that
 became right or wrong. A rule whose removal makes no answer worse does not earn its place. `--count` prints the named
 constants and the rules of the search.
 """
@@ -18,7 +19,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -116,15 +117,40 @@ def without(name: str) -> Iterator[None]:
         yield
 
 
+def _noted(name: str, acted: set[str]) -> Callable[..., Any]:
+    """A rule that is a function, which notes where it gives anything else than what stands there without it."""
+    rule = RULES[name]
+    stands = getattr(rule.module, rule.name)
+
+    def asked(*given: Any, **named: Any) -> Any:
+        got = stands(*given, **named)
+        if got != rule.without(*given, **named):
+            acted.add(name)
+        return got
+
+    return asked
+
+
+@contextmanager
+def watched() -> Iterator[set[str]]:
+    """The rules that have acted while the search ran. Of one that is a number this is not seen: it may have."""
+    acted = {name for name, rule in RULES.items() if not callable(rule.without)}
+    with ExitStack() as stack:
+        for name in set(RULES) - acted:
+            stack.enter_context(patch.object(RULES[name].module, RULES[name].name, _noted(name, acted)))
+        yield acted
+
+
 @dataclass(frozen=True)
 class Asked:
-    """What the search said of a trial without a rule."""
+    """What the search said of a trial without a rule, which had acted in it or not."""
 
     trial: str
     rule: str
     exact: bool
     names: tuple[str, ...]
     verdict: str
+    acted: bool = True
 
 
 def _asked(trial: str, rule: str, label: Label, answer: Answer) -> Asked:
@@ -133,10 +159,16 @@ def _asked(trial: str, rule: str, label: Label, answer: Answer) -> Asked:
 
 
 def ask_without(trial: str, rules: Sequence[str], duration: float) -> Iterator[Asked]:
-    """The answers to a trial: with all rules first, then without each."""
+    """The answers to a trial: with all rules first, then without each that acted in it."""
     simulator, seed, number = trial.split(":")
     label, _, recording = make(int(seed), int(number), tuple(KINDS), duration, simulator)
-    for rule in ("", *rules):
+    with watched() as acted:
+        usual = _asked(trial, "", label, ask(recording))
+    yield usual
+    for rule in rules:
+        if rule not in acted:
+            yield replace(usual, rule=rule, acted=False)
+            continue
         with without(rule):
             answer = ask(recording)
         yield _asked(trial, rule, label, answer)
@@ -145,12 +177,13 @@ def ask_without(trial: str, rules: Sequence[str], duration: float) -> Iterator[A
 def table(asked: Sequence[Asked]) -> str:
     """One line for each rule."""
     usual = {a.trial: a for a in asked if not a.rule}
-    lines = [f"{'without the rule that says':52} {'asked':>6} {'changed':>8} {'better':>7} {'worse':>6}"]
+    lines = [f"{'without the rule that says':52} {'trials':>6} {'acted':>6} {'changed':>8} {'better':>7} {'worse':>6}"]
     for rule in dict.fromkeys(a.rule for a in asked if a.rule):
         pairs = [(usual[a.trial], a) for a in asked if a.rule == rule]
         changed = sum(u.names != a.names or u.verdict != a.verdict for u, a in pairs)
+        acted = sum(a.acted for _, a in pairs)
         better, worse = (sum(b.exact > a.exact for a, b in some) for some in (pairs, [p[::-1] for p in pairs]))
-        lines.append(f"{RULES[rule].says:52} {len(pairs):6} {changed:8} {better:7} {worse:6}")
+        lines.append(f"{RULES[rule].says:52} {len(pairs):6} {acted:6} {changed:8} {better:7} {worse:6}")
     return "\n".join(lines)
 
 

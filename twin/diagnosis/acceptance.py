@@ -12,6 +12,7 @@ import numpy as np
 
 from twin.diagnosis import block_validation, cross_validation, thresholds
 from twin.diagnosis.result import NotBorneOut
+from twin.display.numbers import measure
 from twin.effects.catalogue import EFFECTS, pages
 from twin.effects.parameter import Parameter
 from twin.estimation import maximum_likelihood, parameter_bounds
@@ -42,7 +43,8 @@ def _too_small(problem: FitProblem, fit: Fit, first: Structure) -> Iterator[NotB
         value, index = fit.values[size.name] - (size.neutral or 0.0), fit.free.index(size.name)
         error = math.sqrt(max(float(covariance[index, index]), 1e-300))
         if abs(value) < thresholds.MIN_SIZE_IN_ERRORS * error:
-            reason = f"its size, {size.name} = {fit.values[size.name]:.3g} ± {error:.2g}, is less than three errors"
+            known = measure(fit.values[size.name], error)
+            reason = f"its size, {size.name} = {known}, is less than three errors"
             yield NotBorneOut(name, reason, abs(value) / error)
 
 
