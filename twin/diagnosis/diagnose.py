@@ -49,6 +49,9 @@ from twin.io.recording import Recording, to_fit
 from twin.model.fitted_model import Model
 from twin.model.stepper import Structure
 
+#: So many recordings are named in one sentence; more are counted.
+_MOST_NAMED = 3
+
 
 def _fitness(chosen: Sequence[Trace], which: str, white: float) -> Fitness:
     recorded = np.concatenate([t.recorded for t in chosen]) if chosen else np.zeros(0)
@@ -289,7 +292,9 @@ def _try_curves(tested: _Chosen, first: Structure) -> _Chosen:
         left = (left[0], left[0])
     others = _other_recordings_left(found, case)
     if others:
-        said.append(f"What is left of the missing torque in {', '.join(others)} goes with something still.")
+        several = len(others) > _MOST_NAMED
+        where = f"{len(others)} other recordings, as {others[0]}," if several else ", ".join(others)
+        said.append(f"What is left of the missing torque in {where} goes with something still.")
     foreseen = tested.foreseen if found.last is seen else name_tests.fit_with_longest_memory(found)
     # What was dropped may have come back in another's place.
     failed = tuple(n for n in tested.failed if n.id not in found.last.structure)
