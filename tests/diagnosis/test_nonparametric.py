@@ -16,6 +16,7 @@ from twin.diagnosis import (
     data_split,
     diagnose,
     free_curves,
+    handed_out,
     holdout,
     model_comparison,
     name_tests,
@@ -25,6 +26,7 @@ from twin.diagnosis import (
     selection_round,
     thresholds,
 )
+from twin.diagnosis.adequacy import Adequacy
 from twin.diagnosis.forward_selection import Alternative, SearchResult
 from twin.diagnosis.nonparametric import CurveTerm
 from twin.diagnosis.plausibility import is_plausible
@@ -517,6 +519,25 @@ def test_a_name_that_a_longer_memory_makes_nothing_of_is_not_given(key, kept):
         assert (lasting.smaller_models, lasting.alternatives) == ((), ())
         assert lasting.last.deviance <= first.deviance + 1.0
     assert name_tests.drop_unearned_names(replace(found, last=last), last.structure)[0].last is last
+
+
+@pytest.mark.parametrize(("key", "emptied"), [("nothing", True), ("drag", False)])
+def test_a_name_of_which_the_best_free_run_leaves_nothing_is_dropped(key, emptied):
+    """Its likeliest values passed every test, but ran too far off; those that are handed out have to pass, too."""
+    case, first = fitted(key)
+    problem = FitProblem((case,))
+    last = with_name(case, first, "quadratic_drag")
+    found = SearchResult(first, last, (), problem, (first,))
+    judged = [
+        handed_out.Judged(f, maximum_likelihood.to_model(problem, f, [case.recording]))
+        for f in (first, replace(last, values=dict(last.values)))
+    ]
+    chosen = diagnose._Chosen(found, (problem, last), (), case, (left(0.3, 1e-9, 0.3),) * 2, False, ())
+    names = diagnose._emptied_names(chosen, handed_out.Pair(*judged, Adequacy()), first.structure)
+    assert [n.id for n in names] == ["quadratic_drag"] * emptied
+    assert all("may be nothing" in n.reason and n.figure < thresholds.MIN_SIZE_IN_ERRORS for n in names)
+    likeliest = replace(chosen, foreseen=(problem, judged[1].fit))
+    assert diagnose._emptied_names(likeliest, handed_out.Pair(*judged, Adequacy()), first.structure) == []
 
 
 def test_what_lasts_is_asked_of_a_filter_that_forgets_no_faster_than_the_one_that_chose(monkeypatch):

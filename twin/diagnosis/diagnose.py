@@ -37,7 +37,7 @@ from twin.diagnosis.forward_selection import Progress, SearchResult
 from twin.diagnosis.localization import Regime
 from twin.diagnosis.residual_torque import MissingTorque
 from twin.diagnosis.result import Diagnosis, Estimate, Experiment, Finding, Fitness, NotBorneOut, Trace
-from twin.display.numbers import number
+from twin.display.numbers import measure, number
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN, pages
 from twin.errors import BadInput
 from twin.estimation import likelihood, local_optima, long_recording, maximum_likelihood
@@ -329,6 +329,40 @@ def _models_of(chosen: _Chosen, searched: _Searched, first: Structure) -> tuple[
     return chosen, handed_out.Pair(pair.first, pair.first, adequacy.unchanged(pair.figures))
 
 
+def _emptied_names(chosen: _Chosen, pair: handed_out.Pair, first: Structure) -> list[NotBorneOut]:
+    """The names of which the best free run leaves nothing, where the likeliest values run too far off to be handed out.
+
+    Such a name follows what the model lacks for a moment, and does not describe it.
+    """
+    if pair.last.fit in (pair.first.fit, chosen.foreseen[1]):
+        return []
+    out = []
+    for finding in filter(claims.includes_nothing, _findings(chosen.found, pair.last.model, first)):
+        size = claims.size_of(finding)
+        assert size is not None
+        reason = f"in the free run that fits best its size, {measure(size.value, size.std, size.unit)}, may be nothing"
+        out.append(NotBorneOut(finding.id, reason, abs(size.value) / size.std))
+    return out
+
+
+def _choose(tested: _Chosen, searched: _Searched, first: Structure, tell: Progress) -> tuple[_Chosen, handed_out.Pair]:
+    """What stands of the names or a curve in their place, and both models as they are handed out."""
+    unit = searched.train[0].input_unit
+    for _ in range(thresholds.MAX_EFFECTS):
+        tell("trying shapes without a name", 0.85)
+        chosen = _try_curves(tested, first)
+        tell("fitting both models to the end", 0.87)
+        chosen = replace(chosen, said=(*chosen.said, *_choice_sentences(chosen, first, unit)))
+        settled, pair = _models_of(chosen, searched, first)
+        emptied = _emptied_names(chosen, pair, first)
+        if not emptied:
+            break
+        left = forward_selection.drop_effects(tested.found, [n.id for n in emptied], tested.foreseen[1].values)
+        again = _test_names(left, first)
+        tested = replace(again, failed=(*tested.failed, *emptied, *again.failed))
+    return settled, pair
+
+
 def _fit_by_role(shown: Sequence[Trace], problem: FitProblem, pair: handed_out.Pair) -> dict[str, dict[str, Fitness]]:
     """How well both models follow what was fitted and what was held out."""
     white = [_whiteness_p_value(problem, judged.fit) for judged in (pair.first, pair.last)]
@@ -375,14 +409,9 @@ def _diagnosed(
     tested = _test_names(searched.found, first)
     telling = searched.names[list(tested.found.problem.recordings).index(tested.case)]
     laps.end("search")
-    tell("trying shapes without a name", 0.85)
-    chosen = _try_curves(tested, first)
-    laps.end("term without a name")
-    tell("fitting both models to the end", 0.87)
-    said = _choice_sentences(chosen, first, recordings[0].input_unit)
-    chosen, pair = _models_of(chosen, searched, first)
+    chosen, pair = _choose(tested, searched, first, tell)
     before, after = pair.first.model, pair.last.model
-    laps.end("adequacy")
+    laps.end("term without a name, adequacy")
     fits = (pair.first.fit, pair.last.fit)
     missing = [residual_torque.missing_torque(chosen.case, p.structure, p.values) for p in fits]
     shapes = [tuple(residual_torque.torque_shapes(m)) for m in missing]
@@ -419,7 +448,7 @@ def _diagnosed(
         recordings=tuple(recordings),
         experiment=designed,
         undecided=probabilities.undecided(chosen.found),
-        remarks=(*_remarks(chosen.found, fit, roughness), *searched.said, *chosen.said, *said),
+        remarks=(*_remarks(chosen.found, fit, roughness), *searched.said, *chosen.said),
         seconds=laps.seconds,
         not_borne_out=chosen.failed,
         adequacy=replace(pair.figures, says=claim.says),

@@ -82,7 +82,7 @@ def veto_sentence(figures: Adequacy, last: Structure, first: Structure) -> str:
     )
 
 
-def _size(finding: Finding) -> Estimate | None:
+def size_of(finding: Finding) -> Estimate | None:
     """The estimate of the effect's size; None where it has none, or it was held."""
     screen = EFFECTS[finding.id].screen if finding.id in EFFECTS else None
     found = finding.parameters.get(screen.gain) if screen else None
@@ -91,7 +91,7 @@ def _size(finding: Finding) -> Estimate | None:
 
 def includes_nothing(finding: Finding) -> bool:
     """Whether the effect's size may as well be nothing."""
-    size = _size(finding)
+    size = size_of(finding)
     if size is None:
         return False
     (neutral,) = [p.neutral for p in EFFECTS[finding.id].parameters if p.name in finding.parameters][:1] or [0.0]
