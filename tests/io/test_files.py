@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -27,6 +29,27 @@ while True:
         for name in ("one", "two", "three"):
             put(folder / name, letter * 5000)
     put(out / "file", letter * 50000)
+"""
+#: Writes one folder again and again for a second beside another that does the same, and prints how each attempt ended.
+RIVAL = """
+import sys, time
+from collections import Counter
+from pathlib import Path
+from twin.errors import BadInput
+from twin.io.files import new_folder, put
+out, letter, force = Path(sys.argv[1]), sys.argv[2], sys.argv[3] == "force"
+print("ready", flush=True)
+sys.stdin.readline()
+ended, until = Counter(), time.monotonic() + 1.0
+while time.monotonic() < until:
+    try:
+        with new_folder(out / "folder", ("one", "two", "three"), force) as folder:
+            for name in ("one", "two", "three"):
+                put(folder / name, letter)
+        ended["written"] += 1
+    except BadInput as error:
+        ended[str(error)] += 1
+print(dict(ended))
 """
 
 
@@ -80,6 +103,33 @@ def test_a_second_writer_is_refused_and_the_first_is_whole(tmp_path: Path) -> No
             pytest.fail("there is a writer already")
         fill(folder, "a")
     assert names_in(out) == set(NAMES)
+
+
+@pytest.mark.parametrize("force", [True, False])
+def test_of_two_programs_that_write_one_folder_each_succeeds_or_is_refused(tmp_path: Path, force: bool) -> None:
+    """What lies there meanwhile is whole, and of one of them; nobody takes what the other is at work on."""
+    command = [sys.executable, "-c", RIVAL, str(tmp_path)]
+    rivals = [
+        subprocess.Popen(
+            [*command, letter, "force" if force else "no"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        for letter in "ab"
+    ]
+    for rival in rivals:
+        assert rival.stdout is not None and rival.stdout.readline() == "ready\n"
+    ended: Counter[str] = Counter()
+    for rival in rivals:
+        assert rival.stdin is not None
+        rival.stdin.write("go\n")
+        rival.stdin.flush()
+    for rival in rivals:
+        ended.update(ast.literal_eval(rival.communicate()[0]))
+    refusals = [said for said in ended if said != "written"]
+    known = ("is being written by another program", *(() if force else ("already: choose another folder",)))
+    assert not [s for s in refusals if not any(k in s for k in known)]
+    assert ended["written"] > 1 if force else ended["written"] == 1
+    assert names_in(tmp_path) == {"folder"} and names_in(tmp_path / "folder") == set(NAMES)
+    assert len({(tmp_path / "folder" / name).read_text() for name in NAMES}) == 1
 
 
 def test_who_finds_a_result_at_the_end_that_was_not_there_is_refused(tmp_path: Path) -> None:

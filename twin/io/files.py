@@ -74,10 +74,16 @@ def _open_draft(out: Path, flags: int) -> tuple[Path, int]:
     draft = _draft_of(out)
     while True:
         if flags == _FOLDER:
-            draft.mkdir(exist_ok=True)
+            with suppress(FileExistsError):
+                draft.mkdir()
             if fcntl is None:  # nor does Windows open folders
                 return draft, os.open(os.devnull, os.O_RDONLY)
-        handle = os.open(draft, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        try:
+            handle = os.open(draft, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        except FileNotFoundError:
+            if flags == _FOLDER:  # that was another's, who is done with it now
+                continue
+            raise
         if not _lock(handle):
             os.close(handle)
             raise BadInput(f"{out} is being written by another program: wait for it, or choose another name")
@@ -178,8 +184,10 @@ def new_folder(out: Path, names: tuple[str, ...], force: bool) -> Iterator[Path]
                 _move_into(draft, place, names)
             else:
                 _take_place(draft, place, names)
-        finally:
+        except BaseException:
             shutil.rmtree(draft, ignore_errors=True)
+            raise
+        finally:
             os.close(handle)
     except OSError as error:
         raise BadInput(f"{out} cannot be written ({error.strerror or error}): choose another place") from None
@@ -202,21 +210,26 @@ def _move_into(draft: Path, out: Path, names: tuple[str, ...]) -> None:
             (draft / name).replace(out / name)
         else:
             (out / name).unlink(missing_ok=True)
+    shutil.rmtree(draft, ignore_errors=True)
 
 
 def _take_place(draft: Path, out: Path, names: tuple[str, ...]) -> None:
-    """The draft takes the name of the folder, whose other files go with it. Raises OSError."""
+    """The draft takes the name of the folder, whose other files go with it; then nothing of that name is ours.
+
+    Raises OSError.
+    """
     if not out.exists():
         draft.rename(out)
         return
     old = os.open(out, os.O_RDONLY)
     try:
-        _lock(old)  # it becomes the draft, which nobody may take for one that is left
+        _lock(old)  # it becomes the draft, which nobody may take for one that is left, until it is gone
         shutil.copytree(
             out, draft, symlinks=True, copy_function=os.link, ignore=lambda at, _: names if Path(at) == out else (),
             dirs_exist_ok=True,
         )  # fmt: skip
         _exchange(draft, out)
+        shutil.rmtree(draft, ignore_errors=True)
     finally:
         os.close(old)
 
