@@ -3,6 +3,7 @@
 python scripts/long_recording.py                 # twin identify on 4, 15 and 60 minutes
 python scripts/long_recording.py --minutes 60 --command diagnose
 python scripts/long_recording.py --runs 104 --seconds 2      # many short recordings together
+python scripts/long_recording.py --runs 288 --seconds 300    # a day
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ def record(folder: Path, minutes: float, seed: int = 0) -> Path:
 
 
 def measure(name: str, paths: Sequence[Path], label: str) -> None:
-    """Print processor time, peak memory and the worst error of the base parameters of a command, run as a child."""
+    """Run a command as a child; print processor time, peak memory and the parameter that is furthest off."""
     folder = paths[0].parent
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     code = (
@@ -67,12 +68,15 @@ def measure(name: str, paths: Sequence[Path], label: str) -> None:
     if done.returncode:
         raise RuntimeError(f"twin {name} ended with {done.returncode}: {done.stderr}")
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    found = fitted_model.read(folder / "model.toml").values
-    worst = max((abs(found[n] / v - 1.0), n) for n, v in VALUES.items() if n in found)
+    found = fitted_model.read(folder / "model.toml")
+    missed = {n: found.values[n] - v for n, v in VALUES.items() if n in found.values}
+    errors = {n: abs(e) / found.std(n) for n, e in missed.items()}
+    worst = max(errors, key=lambda n: errors[n])
     seconds = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
     print(
         f"twin {name}, {label}: {seconds:6.0f} s of processor, peak memory {done.stdout.split()[-1]:>5} MB; "
-        f"furthest from its truth: {worst[1]}, {100.0 * worst[0]:.2g} %",
+        f"furthest from its truth: {worst}, {100.0 * missed[worst] / VALUES[worst]:.2g} %, "
+        f"{errors[worst]:.2g} standard errors",
         flush=True,
     )
 

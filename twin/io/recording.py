@@ -12,13 +12,14 @@ import numpy.typing as npt
 
 from twin.display.table import DisplayTable, Tabular
 from twin.errors import BadInput
+from twin.io import thinning
 from twin.io.cleaning import Raw, clean_optional, clean_output, hold
 from twin.io.clock import CONVERTER_STEP, LONGEST_STEP, bridge_jumps, check_unit, spread_bursts, undo_counter_wraps
 from twin.io.edges import counted
 from twin.io.faults import Fault, find_gaps
 from twin.io.joined import join_files
 from twin.io.manifest import Entry, entries_of, expand
-from twin.io.preflight.checks import at_its_limit, coarse, examine, reversed_alone, slow_sensor
+from twin.io.preflight.checks import at_its_limit, coarse, examine, reversed_alone, slow_sensor, thinned
 from twin.io.preflight.finding import Finding, Severity
 from twin.io.preflight.response import Signals
 from twin.io.preflight.standing import Columns, contradicted
@@ -39,6 +40,8 @@ _LEAST_SAMPLES = 50
 _LARGEST = 1e12
 #: A duty, %, and a pause, s, beyond which a unit is wrong or a cell is bad.
 _FULL, _PAUSE = 1e4, 1e5
+#: So many bytes of files tell what their columns are.
+_GUESSED_FROM = 2**26
 #: So many recordings that move tell which column is a speed.
 _WITNESSES = 3
 _NOMINAL = "supply_nominal"
@@ -74,6 +77,10 @@ class Recording(Tabular):
     size of one encoder count in `output_unit`, 0.0 when the output is not quantised. `optional` holds those that the
     recording has of these: motor_position (rad or m, NaN where left out), speed, current (A), supply (V), temperature
     (K) and, with a loop, reference (output_unit).
+
+    `load` examines and mends what it reads. A recording that is made from arrays is taken as it is: bad readings are
+    yours to leave out, and a coarse counter is read at each row, not where its count changes. Its file, read by `load`,
+    has all of that.
     """
 
     name: str
@@ -312,7 +319,14 @@ def load_entries(entries: Sequence[Entry], rig: Path | None = None) -> tuple[lis
 
 def guess_of(entries: Sequence[Entry]) -> Guess:
     """What the columns of these recordings are, by their names and values. Raises BadInput where none can be told."""
-    return guess(*(table for path in dict.fromkeys(e.path for e in entries) for table in open_tables(path)))
+    tables: list[Table] = []
+    taken = 0
+    for path in dict.fromkeys(e.path for e in entries):
+        taken += path.stat().st_size if path.exists() else 0
+        if tables and taken > _GUESSED_FROM:
+            break
+        tables += open_tables(path)
+    return guess(*tables)
 
 
 def load_guessed(entries: Sequence[Entry], guessed: Guess) -> tuple[list[Recording], Rig]:
@@ -334,18 +348,74 @@ def _load(entries: Sequence[Entry], chosen: Rig | None) -> tuple[list[Recording]
     if chosen is None:
         return load_guessed(entries, guess_of(entries))
     opened: dict[Path, list[Table]] = {}
-    recordings, sources = [], []
+    held, sources = _Held(), []
     for entry in entries:
         tables = opened.get(entry.path) or open_tables(entry.path)
         opened = {entry.path: tables}  # windows of one file stand together in a manifest
         for table in _tests(tables, entry):
             joined = join_files(table, chosen, entry.path, _clock(table, chosen.time))
-            recordings.append(_recording(*joined, entry))
+            held.add(_recording(*joined, entry))
             sources.append((entry.path, table.test))
-    recordings = _without_standing(recordings, sources, chosen)
+    recordings = _without_standing(held.recordings, sources, chosen)
     _check_moves(recordings)
     recordings = _share_supply(_share_resolution(recordings, chosen.output.resolution))
-    return _read_at_edges(_examined(recordings, chosen)), chosen
+    recordings = _read_at_edges(_examined(recordings, chosen))
+    recordings[0] = replace(recordings[0], preflight=(*recordings[0].preflight, *held.findings))
+    return recordings, chosen
+
+
+class _Held:
+    """Recordings as they are read, cut where they are more than memory holds (see `twin.io.thinning`)."""
+
+    def __init__(self) -> None:
+        self._windows: list[_Window] = []
+        self._cuts = 0
+        self._lasted = 0.0  # of all that was read, s
+
+    def add(self, recording: Recording) -> None:
+        """Hold one more, cut as often as those before it."""
+        self._lasted += float(recording.time[-1])
+        window = _Window(recording)
+        for _ in range(self._cuts):
+            window = window.half()
+        self._windows.append(window)
+        before = math.inf
+        while thinning.MOST < (stamps := sum(w.recording.time.size for w in self._windows)) < before:
+            self._windows = [w.half() for w in self._windows]
+            self._cuts, before = self._cuts + 1, stamps
+
+    @property
+    def recordings(self) -> list[Recording]:
+        """What is held, by name and window."""
+        return [w.recording if w.begin is None else replace(w.recording, name=w.name) for w in self._windows]
+
+    @property
+    def findings(self) -> list[Finding]:
+        """What the user is told of it."""
+        if all(w.begin is None for w in self._windows):
+            return []
+        return [thinned(sum(float(w.recording.time[-1]) for w in self._windows), self._lasted)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Window:
+    """What is held of a recording, and where in it that begins, s; None: all of it is held."""
+
+    recording: Recording
+    begin: float | None = None
+
+    @property
+    def name(self) -> str:
+        begin = self.begin or 0.0
+        return f"{self.recording.name} ({begin:.6g} to {begin + self.recording.time[-1]:.6g} s)"
+
+    def half(self) -> "_Window":
+        """The half that moves most; the whole where it is short."""
+        recording = self.recording
+        ends = thinning.busiest_half(recording.time, recording.output)
+        if ends is None:
+            return self
+        return _Window(replace(recording.part(*ends), name=recording.name), (self.begin or 0.0) + ends[0])
 
 
 def _without_standing(recordings: list[Recording], sources: Sequence[tuple[Path, str]], rig: Rig) -> list[Recording]:

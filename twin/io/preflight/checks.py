@@ -332,6 +332,16 @@ def coarse(rows: float) -> Finding:
     )
 
 
+def thinned(kept: float, lasted: float) -> Finding:
+    """Recordings of which only what moves most is held (see `twin.io.thinning`)."""
+    return Finding(
+        "thinned",
+        f"{kept:.0f} s of {lasted:.0f} s are used, of each recording the part that moves most: all together would take "
+        "too much memory; to choose the parts yourself, give fewer recordings, or start and end in a manifest",
+        Severity.WARNS,
+    )
+
+
 def slow_sensor(signals: Signals, refresh: float) -> Finding:
     """A sensor that is read anew more slowly than it is logged (see `twin.io.refresh`)."""
     row = float(np.median(np.diff(signals.time)))
