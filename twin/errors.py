@@ -8,8 +8,11 @@ class BadInput(Exception):
     """Something the user gave cannot be used.
 
     The message is one line: what is wrong, where (file, line, column, value) and what to do.
-    The command line prints it on stderr and exits with 2.
+    The command line prints it on stderr and exits with 2. Line breaks, which a name in a file may hold, become blanks.
     """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(" ".join(message.splitlines()))
 
 
 def install(extra: str, *packages: str) -> str:

@@ -5,7 +5,9 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+import scipy.io
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -56,6 +58,13 @@ def test_the_good_file_is_good(tmp_path: Path) -> None:
     (recording,), _ = load([tmp_path / "log.csv"])
     assert recording.time.size == 80
     assert recording.faults == ()
+
+
+def test_a_name_with_line_breaks_is_told_in_one_line(tmp_path: Path) -> None:
+    for k, mark in enumerate("\n\r\v\f\x1c\x85"):
+        scipy.io.savemat(tmp_path / "made.mat", {"t": np.arange(80.0), f"du{mark}ty": np.arange(80.0)})
+        said = refused(tmp_path, (tmp_path / "made.mat").read_bytes(), name=f"{k}.mat")
+        assert "no column 'pos'" in said and len(said.splitlines()) == 1
 
 
 @pytest.mark.parametrize(

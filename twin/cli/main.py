@@ -166,7 +166,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             parser.error("name a command, such as run")
         return int(args.handler(args))
     except BadInput as error:
-        print(f"twin: {printable(with_flags(' '.join(str(error).split())))}", file=sys.stderr)
+        print(f"twin: {printable(with_flags(str(error)))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("twin: stopped; nothing is half-written", file=sys.stderr)

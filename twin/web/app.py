@@ -247,7 +247,7 @@ def make_app() -> Starlette:
         site.close()
 
     async def bad_input(_: Request, error: Exception) -> Response:
-        return _refused(" ".join(str(error).split()), 400)
+        return _refused(str(error), 400)
 
     get: dict[str, Callable[[Request], Awaitable[Response]]] = {
         **dict.fromkeys(PAGES, site.page), "/report.css": site.style, "/explorer.js": site.style,
