@@ -39,7 +39,9 @@ def test_what_a_step_costs_is_printed(monkeypatch, capsys):
 def test_time_and_memory_of_a_recording_are_printed(capsys):
     long_recording.bench_long([0.2])
     said = capsys.readouterr().out
-    found = re.fullmatch(r"twin identify, +0 min, +6000 samples: +\d+ s .* memory +(\d+) MB; .*: (\w+), \S+ %, .*\n", said)
+    found = re.fullmatch(
+        r"twin identify, +0 min, +6000 samples: +\d+ s .* memory +(\d+) MB; .*: (\w+), \S+ %, .*\n", said
+    )
     assert found, said
     assert int(found[1]) > 100 and found[2] in long_recording.VALUES
 
