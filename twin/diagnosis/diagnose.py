@@ -380,6 +380,12 @@ def _choice_sentences(chosen: _Chosen, first: Structure, unit: str) -> list[str]
     last = chosen.found.last
     said = [f"Tried, not confirmed: {EFFECTS[n.id].title}; {n.reason}." for n in chosen.failed]
     said += _unequal_dead_bands(last, unit)
+    if "constant_offset" in last.structure and "offset" not in (*last.free, *chosen.found.problem.held):
+        told = EFFECTS["dead_band"].confused_with["constant_offset"]
+        said.append(
+            "The constant torque is the one that leaves the dead-bands about equal: as long as the drive pushes, it "
+            f"does what unequal ones do. This would tell: {told}."
+        )
     if "backlash" in first and "backlash" not in last.structure:
         said.append("No gap shows: in this model motor and link are one.")
     return said

@@ -6,6 +6,7 @@ confused with. Then more are looked for with a filter whose memory is as short a
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -233,7 +234,25 @@ def search(
         swaps += _dead_band_for_friction(problem, best, begun)
     tell("looking closer", 0.8)
     events.announce(events.Reached(problem, best))
-    return refine_with_short_memory(replace(found, last=best, alternatives=tuple(swaps)), candidates)
+    closer = refine_with_short_memory(replace(found, last=best, alternatives=tuple(swaps)), candidates)
+    return replace(closer, last=_with_level_dead_bands(closer.problem, closer.last))
+
+
+def _with_level_dead_bands(problem: FitProblem, last: Fit) -> Fit:
+    """The model with its constant torque held where the dead-bands are about equal, if its size is not known.
+
+    As long as the drive pushes, the torque may be any that leaves no dead-band negative. Machines have equal dead-bands
+    more often than others.
+    """
+    if not {"offset", *DEAD_BANDS} <= set(last.free):
+        return last
+    place = last.free.index("offset")
+    error = math.sqrt(max(float(last.robust_covariance[place, place]), 0.0))
+    if abs(last.values["offset"]) >= thresholds.MIN_SIZE_IN_ERRORS * error:
+        return last
+    begun, free = last.values | torque_regression.equal_dead_bands(last.values), (n for n in last.free if n != "offset")
+    level = optimizer.levenberg_marquardt(problem.at(last.process_noise), last.structure, begun, tuple(free))
+    return level if model_comparison.criterion_difference(last, level) < thresholds.UNDECIDED_MARGIN else last
 
 
 def _without_idle_gap(found: SearchResult) -> tuple[FitProblem, Fit] | None:

@@ -149,12 +149,12 @@ def _start_places(
 
 
 def equal_dead_bands(values: Mapping[str, float]) -> dict[str, float]:
-    """Equal dead-bands, and the constant torque that replaces their difference: as long as the drive pushes, both do
-    the same.
+    """Equal dead-bands, and the constant torque that replaces their difference, beside one that is there: as long as
+    the drive pushes, both do the same.
     """
     ahead, behind = values["dead_band_forward"], values["dead_band_reverse"]
     equal = dict.fromkeys(("dead_band_forward", "dead_band_reverse"), 0.5 * (ahead + behind))
-    return equal | {"offset": 0.5 * (behind - ahead) * values["input_gain"]}
+    return equal | {"offset": values.get("offset", 0.0) + 0.5 * (behind - ahead) * values["input_gain"]}
 
 
 def offset_starts(base: Fit, candidates: Sequence[str]) -> list[dict[str, float]]:
