@@ -42,7 +42,8 @@ def find_refresh(time: FloatArray, values: FloatArray, resolution: float) -> flo
     row = float(np.median(np.diff(t)))
     alike = np.abs(interval - usual) <= max(0.2 * usual, 1.2 * row)
     held = np.mean(rows >= 2) >= _MIN_ALIKE and np.mean(alike) >= _MIN_ALIKE and usual >= 1.8 * row
-    return usual if held else None
+    # Rows round each interval; their mean is that of the sensor.
+    return float(np.mean(interval[alike])) if held else None
 
 
 def _least_spacing(values: FloatArray) -> float:
