@@ -115,6 +115,22 @@ def test_a_speed_without_its_direction(tmp_path: Path) -> None:
     assert kinds(loaded(tmp_path, duty, speed, SPEED)) == []
 
 
+@pytest.mark.parametrize("friction", [1.0, 3.0, 20.0])
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_a_counter_of_pulses_gives_a_speed_without_its_direction(tmp_path: Path, friction: float, noise: float) -> None:
+    """A command of one size, to and fro, tells nothing by its size; noise around standstill is below zero."""
+    rng = np.random.default_rng(3)
+    duty = 40.0 * np.repeat(rng.choice([-1.0, 1.0], N // 60 + 1), 60)[:N]
+    speed = axis_speed(duty, STEP, friction=friction)
+    read = np.abs(speed) + noise * np.ptp(speed) * rng.standard_normal(N)
+    assert kinds(loaded(tmp_path, duty, np.round(read, 2), SPEED)) == ["unsigned_output"]
+    signed = speed + noise * np.ptp(speed) * rng.standard_normal(N)
+    assert kinds(loaded(tmp_path, duty, np.round(signed, 2), SPEED)) == []
+    # One way only, with a brake: the speed is positive because it is.
+    braked = np.where(duty > 0.0, duty, -1.0)
+    assert kinds(loaded(tmp_path, braked, np.round(axis_speed(braked, STEP, friction=friction), 2), SPEED)) == []
+
+
 @pytest.mark.parametrize(("bits", "most", "drive"), [(8, 100.0, 'unit = "%"'), (16, 3000.0, "full_scale = 3000")])
 def test_signed_numbers_that_were_read_as_unsigned(tmp_path: Path, bits: int, most: float, drive: str) -> None:
     duty = np.round(duty_levels(6, N, STEP, most))

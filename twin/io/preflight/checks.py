@@ -6,15 +6,15 @@ beyond the axis' own motion. On a sound recording it exceeds what the same comma
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from twin.io.preflight.finding import Finding, Severity
 from twin.io.preflight.response import (
-    FloatArray,
-    Regression,
     Response,
     Signals,
     regression,
@@ -35,6 +35,8 @@ _BETTER = 0.8
 _SHAKING_COUNTS = 2.0
 #: Share of the readings at an end of the range, from which on they say why nothing answers.
 _AT_ENDS = 0.3
+#: For how long, s, the speed of an axis goes on the way that the command had.
+_MEMORIES = (0.01, 0.03, 0.1, 0.3, 1.0)
 #: Of the largest speed: slower is no motion the other way. Share of the rows that have to show motion each way.
 _SLOW, _EACH_WAY = 0.1, 0.05
 
@@ -144,8 +146,15 @@ def _drives_size_alone(seen: Response) -> bool:
     return seen.share < 2.0 * _MIN_SHARE and (size_alone or bool(unrelated(seen)))
 
 
-def _magnitude(rows: Regression) -> FloatArray:
-    return np.abs(rows.command)
+def _with_sign(recordings: Sequence[Signals]) -> Iterator[list[Signals]]:
+    """The recordings, each with the sign that its command had in the mean over a while, for several such whiles."""
+    for memory in _MEMORIES:
+        signed = []
+        for one in recordings:
+            keep = math.exp(-float(np.median(np.diff(one.time))) / memory)
+            mean = lfilter([1.0 - keep], [1.0, -keep], one.command)
+            signed.append(replace(one, output=np.sign(mean) * np.abs(one.output)))
+        yield signed
 
 
 def lost_sign(recordings: Sequence[Signals], seen: Response) -> list[Finding]:
@@ -153,8 +162,9 @@ def lost_sign(recordings: Sequence[Signals], seen: Response) -> list[Finding]:
 
     A command that is never negative drives one way. The axis runs both ways, and the command explains hardly any change
     of speed but the size of the speed. Then it drives each motion in its own direction, and its sign is in another
-    column. A load that falls back is braked by the command, which then explains the change of speed. In the same way, a
-    speed that is never negative, and answers to the magnitude of a command of both signs, has lost its own.
+    column. A load that falls back is braked by the command, which then explains the change of speed. A speed that is
+    never negative has lost its own sign where a command of both signs explains it far better with the sign that the
+    command had shortly before.
     """
     least = min(float(np.min(r.command)) for r in recordings)
     speed = seen.rows.motion[:, 0]
@@ -169,13 +179,15 @@ def lost_sign(recordings: Sequence[Signals], seen: Response) -> list[Finding]:
                 Severity.BLOCKS,
             )
         ]
-    unsigned = all(r.is_speed for r in recordings) and min(float(np.nanmin(r.output)) for r in recordings) >= 0.0
-    if least < 0.0 and unsigned and _is_better(response(recordings, _magnitude), seen):
+    # Noise around standstill is a little below zero.
+    backwards = min(float(np.nanmin(r.output)) for r in recordings) < -_SLOW * fastest
+    unsigned = all(r.is_speed for r in recordings) and not backwards
+    if least < 0.0 and unsigned and any(_is_better(response(r), seen) for r in _with_sign(recordings)):
         return [
             Finding(
                 "unsigned_output",
-                "the output is never negative though the input is, and answers to the size of the input alone: a speed "
-                "without its direction; log it with its sign, or give a recording that drives one way only",
+                "the output is never negative though the input is, and follows the input far better with the input's "
+                "sign: a speed without its direction; log it with its sign, or give a recording that drives one way",
                 Severity.BLOCKS,
             )
         ]
