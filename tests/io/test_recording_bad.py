@@ -210,8 +210,8 @@ def test_a_rig_file_that_is_no_text(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("header", "words"),
     [
-        ("t,b,pos", "no column looks like the input"),
-        ("t,duty,c", "no column looks like the output"),
+        ("t,goal,pos", "no column looks like the input"),
+        ("t,duty,temp", "no column looks like the output"),
     ],
 )
 def test_columns_that_cannot_be_guessed(tmp_path: Path, header: str, words: str) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from driven_axis import axis_position, axis_speed, duty_levels
 
+from twin.errors import BadInput
 from twin.io.recording import Recording, load
 from twin.io.rig_draft import draft
 
@@ -44,8 +45,11 @@ def loaded(path: Path) -> tuple[Recording, str]:
          COUNTS / 250, "in us"),
         ({"t": TIME, "u": DUTY / 5, "y": SPEED}, "rad/s", SPEED, "taken for V"),
         ({"t": TIME, "u": DUTY / 5, "y": ANGLE}, "rad", ANGLE, "taken for V"),
-        ({"_": TIME, "__": DUTY, "___": ANGLE}, "rad", ANGLE, "the file names no columns"),
-        ({"_": TIME, "__": np.round(SPEED, 2), "___": DUTY}, "rad/s", np.round(SPEED, 2), "column 3, a speed column 2"),
+        ({"_": TIME, "__": DUTY, "___": ANGLE}, "rad", ANGLE, "no name tells which is which"),
+        ({"_": TIME, "__": np.round(SPEED, 2), "___": DUTY}, "rad/s", np.round(SPEED, 2), "'3', a speed column '2'"),
+        ({"t": TIME, "ue": DUTY, "ye": SPEED}, "rad/s", SPEED, "column 'ue', a speed column 'ye'"),
+        ({"t": TIME, "u": DUTY / 5, "z": SPEED}, "rad/s", SPEED, "taken to be 'u' and a speed 'z'"),
+        ({"t": TIME, "a": DUTY, "theta": ANGLE}, "rad", ANGLE, "taken to be 'a' and a position 'theta'"),
         ({"time": TIME, "goal": ANGLE, "cmd": DUTY, "battery_voltage": 12 + 0 * TIME + (TIME > 5), "pos": ANGLE}, "rad",
          ANGLE, "the input is column 'cmd'"),
     ],
@@ -85,3 +89,12 @@ def test_steps_of_one_level_a_file_are_guessed_from_all_of_them(tmp_path: Path) 
     again, _ = load(paths)
     for one, other in zip(recordings, again, strict=True):
         np.testing.assert_array_equal(one.output, other.output)
+
+
+@pytest.mark.parametrize("beside", ["goal", "battery", "temp"])
+def test_what_is_known_to_be_no_input_is_not_taken_for_one_because_nothing_else_is_there(
+    tmp_path: Path, beside: str
+) -> None:
+    path = write(tmp_path / "log.csv", {"t": TIME, beside: DUTY, "position": ANGLE})
+    with pytest.raises(BadInput, match="no column looks like the input"):
+        load([path])

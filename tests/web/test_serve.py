@@ -182,13 +182,15 @@ def test_what_the_checks_find_is_said_and_stops_the_search(client: Client) -> No
 
 
 def test_columns_that_no_name_tells_are_chosen_by_hand(client: Client) -> None:
-    looked = client.drop(log_text().replace("t,duty,counts", "a,b,c")).told
+    looked = client.drop(log_text().replace("t,duty,counts", "a,goal,c")).told
     assert "choose the column" in looked["problem"] and len(looked["panels"]["panels"]) == 3
     output = {"column": "c", "unit": "count", "counts_per_revolution": 4096}
-    chosen = client.choose({"time": {"column": "a"}, "input": {"column": "b", "unit": "%"}, "output": output})
+    chosen = client.choose({"time": {"column": "a"}, "input": {"column": "goal", "unit": "%"}, "output": output})
     assert chosen["problem"] == "" and "6.0 s at 2 ms" in chosen["says"]
     # A choice that does not load still shows the columns as they are.
-    chosen = client.choose({"time": {"column": "c"}, "input": {"column": "b", "unit": "%"}, "output": {"column": "a"}})
+    chosen = client.choose(
+        {"time": {"column": "c"}, "input": {"column": "goal", "unit": "%"}, "output": {"column": "a"}}
+    )
     assert chosen["problem"] and len(chosen["panels"]["stretches"]) == 1
 
 

@@ -29,6 +29,8 @@ _ANGLES = ("angle", "winkel")  # a long way under such a name is in deg
 _SPEED = ("speed", "velocity", "omega", "rpm", "drehzahl", "vel", "w", "v", "output", "y")
 _SUPPLY = ("supply", "battery", "vbat", "vbus", "vcc", "bus")
 _OPTIONAL = {"temperature": ("temp",), "supply": _SUPPLY, "current": ("current", "amps", "strom", "i")}
+#: What is neither the input nor the output.
+_NEITHER = (*_REFERENCE, *_SUPPLY, *_OPTIONAL["temperature"])
 _DIRECTION = ("dir", "direction", "sign", "richtung", "vorzeichen")
 #: Names that may be a position as well as a speed: what stands in the column decides.
 _EITHER = ("output", "y", "x")
@@ -192,6 +194,8 @@ def guess(*tables: Table) -> Guess:
     time = _time_section(table, columns if len(tables) == 1 else _numbers([table], list(columns)), unsure)
     left = [n for n in columns if n != time.keys.get("column") and np.nanmax(columns[n]) > np.nanmin(columns[n])]
     names = _by_values(tables, columns, left, time, unsure) if table.names[0] == "1" else _by_names(left)
+    if (names.drive is None or names.reading is None) and len(left) == 2 and _pick(left, _NEITHER) is None:
+        names = _of_two(tables, columns, left, time, unsure)
     if names.drive is None or names.reading is None:
         what = "the input" if names.drive is None else "the output"
         raise BadInput(
@@ -230,10 +234,28 @@ def _by_names(names: Sequence[str]) -> _Names:
     return _Names(drive, reading, position is None)
 
 
+def _of_two(
+    tables: Sequence[Table], columns: Mapping[str, FloatArray], left: Sequence[str], time: Section, unsure: list[str]
+) -> _Names:
+    """Two columns beside the time are the input and the output: where one is known by its name, the other is, too."""
+    named = _by_names(left)
+    if named.drive is None and named.reading is None:
+        return _by_values(tables, columns, left, time, unsure)
+    drive = named.drive or next(n for n in left if n != named.reading)
+    reading = next(n for n in left if n != drive)
+    speed = named.is_speed if named.reading else is_speed(_signals(tables, drive, reading, time))
+    unsure.append(f"of two columns, the input is taken to be '{drive}' and a {_what(speed)} '{reading}'")
+    return _Names(drive, reading, speed)
+
+
+def _what(speed: bool) -> str:
+    return "speed" if speed else "position"
+
+
 def _by_values(
     tables: Sequence[Table], columns: Mapping[str, FloatArray], left: Sequence[str], time: Section, unsure: list[str]
 ) -> _Names:
-    """The columns of a file without a header.
+    """The columns of a file whose names say nothing, or that has none.
 
     The input is the one that changes least often: a command is held. Of the others, the reading is the one whose change
     of speed the input explains best, taken for the position or the speed that it is. A position that the input explains
@@ -254,8 +276,8 @@ def _by_values(
     share = {n: max(_explained(signals, s) for s in (True, False)) for n, signals in seen.items()}
     near = [n for n in others if share[n] >= _MIN_SHARE * max(share.values())]
     reading = min(near, key=lambda n: (speeds[n], -share[n]))
-    what = "speed" if speeds[reading] else "position"
-    unsure.append(f"the file names no columns: the input is taken to be column {drive}, a {what} column {reading}")
+    which = f"the input is taken to be column '{drive}', a {_what(speeds[reading])} column '{reading}'"
+    unsure.append(f"no name tells which is which: {which}")
     return _Names(drive, reading, speeds[reading])
 
 

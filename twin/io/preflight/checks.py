@@ -6,12 +6,10 @@ beyond the axis' own motion. On a sound recording it exceeds what the same comma
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from twin.io.preflight.finding import Finding, Severity
 from twin.io.preflight.response import (
@@ -147,13 +145,13 @@ def _drives_size_alone(seen: Response) -> bool:
 
 
 def _with_sign(recordings: Sequence[Signals]) -> Iterator[list[Signals]]:
-    """The recordings, each with the sign that its command had in the mean over a while, for several such whiles."""
+    """The recordings, each with the sign that its command had in the mean lately, for several meanings of that."""
     for memory in _MEMORIES:
         signed = []
         for one in recordings:
-            keep = math.exp(-float(np.median(np.diff(one.time))) / memory)
-            mean = lfilter([1.0 - keep], [1.0, -keep], one.command)
-            signed.append(replace(one, output=np.sign(mean) * np.abs(one.output)))
+            total = np.concatenate(([0.0], np.cumsum(one.command[:-1] * np.diff(one.time))))
+            lately = total - np.interp(one.time - memory, one.time, total)
+            signed.append(replace(one, output=np.sign(lately) * np.abs(one.output)))
         yield signed
 
 
