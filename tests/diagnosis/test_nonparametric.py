@@ -248,6 +248,24 @@ def test_where_the_end_goes_where_nothing_before_was_the_middle_is_held_out(miss
     assert says.startswith("The end goes where the rest never was: the command") and "the middle was held out" in says
 
 
+@pytest.mark.parametrize("added", [1.0, 0.0])
+def test_a_moment_that_lies_in_what_is_held_out_is_looked_for_in_blocks(added):
+    """The end goes where nothing before was, so the middle is held out; and there the load changes, or nothing does."""
+    rng = np.random.default_rng(9)
+    time = 0.002 * np.arange(SAMPLES)
+    command = np.where(time < 20.0, 0.5, 1.0) * steps(rng, SAMPLES, 300, 40.0)
+    truth = STRUCTURE.with_("load_change")
+    values = VALUES | {"load_added": added, "load_time": 15.0}
+    y, _ = run(truth, values, time, command + 0.3 * rng.standard_normal(SAMPLES))
+    recording = Recording("made", time, command, np.round(y / COUNT) * COUNT, "%", "rad", COUNT)
+    searched = diagnose._split_and_search([recording], STRUCTURE, {}, ["load_change", "drive_saturation"], None)
+    last = searched.found.last
+    assert last.structure.named == (("load_change",) if added else ())
+    assert len(searched.held_out) == (len(data_split.BLOCKS) if added else 1)
+    assert any("so that no fit could see it" in said for said in searched.said) is bool(added)
+    assert not added or last.values["load_time"] == pytest.approx(15.0, abs=0.05)
+
+
 @pytest.mark.parametrize("where", [data_split.END_PART, data_split.MIDDLE_PART])
 def test_held_out_part_of_a_true_model_is_met_by_its_free_run(where):
     """Whether it lies at the end or in the middle: the FMU starts there anew, from what was read ahead of it."""

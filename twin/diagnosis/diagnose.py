@@ -37,7 +37,7 @@ from twin.diagnosis.forward_selection import Progress, SearchResult
 from twin.diagnosis.localization import Regime
 from twin.diagnosis.residual_torque import MissingTorque
 from twin.diagnosis.result import Diagnosis, Estimate, Experiment, Finding, Fitness, NotBorneOut, Trace
-from twin.display.numbers import measure, number
+from twin.display.numbers import capital, measure, number
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN, pages
 from twin.errors import BadInput
 from twin.estimation import likelihood, local_optima, long_recording, maximum_likelihood
@@ -51,6 +51,8 @@ from twin.model.stepper import Structure
 
 #: So many recordings are named in one sentence; more are counted.
 _MOST_NAMED = 3
+#: Parameters that are moments of a recording, s.
+_MOMENTS = ("load_time", "pulse_start")
 
 
 def _fitness(chosen: Sequence[Trace], which: str, white: float) -> Fitness:
@@ -163,8 +165,8 @@ def _split_and_search(
 ) -> _Searched:  # fmt: skip
     """The search, with sentences on physics that held-out data alone show.
 
-    Where the end of a lone recording shows physics that does not act before, the middle is held out instead. Of
-    recordings that are too long, stretches are fitted and held out.
+    Where the end of a lone recording shows physics that does not act before, the middle is held out instead. Where a
+    moment lies in what is held out, blocks are. Of recordings that are too long, stretches are fitted and held out.
     """
 
     def looked(where: Intervals) -> tuple[_Searched, list[str]]:
@@ -184,8 +186,30 @@ def _split_and_search(
     if shown and choice.where == data_split.END_PART and not searched.held_out[0].whole:
         said += [f"{s} So the middle was held out instead, and the search begun anew." for s in shown]
         searched, shown = looked(data_split.MIDDLE_PART)
+    if lost := _moment_held_out(searched):
+        again, shown_again = looked(data_split.BLOCKS)
+        if not _moment_held_out(again):
+            searched, shown, said = again, shown_again, [*said, lost]
     acting = [f"{s} Fit a recording in which it acts." for s in shown]
     return replace(searched, said=(*said, *searched.said, *acting))
+
+
+def _moment_held_out(searched: _Searched) -> str:
+    """A sentence on a moment, at which something changes, that lies in a held-out part; "" where none does.
+
+    When in that part it was no fit can know, and a free run through it errs until then or from then on.
+    """
+    last = searched.found.last
+    for name, moment in ((n, last.values[n]) for n in _MOMENTS if n in last.free):
+        for part in searched.held_out:
+            if not part.whole and part.begin <= moment <= part.end:
+                (title,) = (e.title for e in last.structure.effects if name in {p.name for p in e.parameters})
+                lies = f"between {number(part.begin)} and {number(part.end)} s"
+                return (
+                    f"{capital(title)}: its moment lies {lies}, which was held out, so that no fit could see it. "
+                    "So blocks all over the recording were held out instead, and the search begun anew."
+                )
+    return ""
 
 
 def _stretches_sentence(whole: Sequence[Recording], searched: Sequence[Recording]) -> str:
