@@ -40,6 +40,9 @@ def write(folder: Path, columns: dict[str, np.ndarray]) -> Path:
          ["signed_bits = 8"]),
         ({"t": TIME, "motor_voltage": DUTY / 8, "rpm": np.round(axis_speed(DUTY, STEP) * 9.55)},
          ['unit = "V"', 'unit = "rpm"']),
+        ({"Zeit [s]": TIME, "Tastgrad [%]": DUTY, "Zähler": COUNTS}, ['column = "Tastgrad [%]"', 'column = "Zähler"']),
+        ({"t": TIME, "sollwert [%]": DUTY, "ausgabe [%]": DUTY, "geber [rad]": ANGLE},
+         ['column = "ausgabe [%]"', "'geber [rad]' is taken for a position by its unit"]),
         ({"t": TIME, "duty": DUTY, "counts": np.repeat(COUNTS[::20], 20)}, ["refresh = 0.04"]),
     ],
 )  # fmt: skip

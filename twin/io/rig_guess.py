@@ -20,13 +20,15 @@ from twin.io.units import INPUT_UNITS, OPTIONAL_UNITS, POSITION_UNITS, SPEED_UNI
 
 #: Parts of names, the likeliest first, in English and German. A drive comes before what may be a measurement.
 _TIME = ("time", "stamp", "clock", "seconds", "millis", "micros", "zeit", "t")
-_INPUT = ("duty", "pwm", "volt", "spannung", "torque", "drehmoment", "tau", "force", "kraft", "effort", "applied",
-          "drive", "control", "input", "current", "strom", "command", "cmd", "u", "vir", "i")  # fmt: skip
+_DRIVES = ("duty", "pwm", "tastgrad", "tastverh", "stellgr", "stellwert", "volt", "spannung", "torque", "drehmoment",
+           "tau", "force", "kraft", "effort", "applied", "drive")  # fmt: skip
+_INPUT = (*_DRIVES, "control", "input", "current", "strom", "command", "cmd", "u", "vir", "i")
 _REFERENCE = ("ref", "goal", "target", "setpoint", "desired", "sp", "des", "sollwert")
-_POSITION = ("counts", "ticks", "encoder", "position", "theta", "angle", "winkel", "count", "enc", "pos", "phi", "deg",
-             "adc", "pot", "q", "qm", "output", "y", "x")  # fmt: skip
+_PLACES = ("counts", "ticks", "encoder", "position", "theta", "angle", "winkel", "count", "zähler", "zaehler", "enc")
+_POSITION = (*_PLACES, "pos", "phi", "deg", "adc", "pot", "q", "qm", "output", "y", "x")
 _ANGLES = ("angle", "winkel")  # a long way under such a name is in deg
-_SPEED = ("speed", "velocity", "omega", "rpm", "drehzahl", "vel", "w", "v", "output", "y")
+_SPEEDS = ("speed", "velocity", "omega", "rpm", "drehzahl", "geschwindigkeit", "vel")
+_SPEED = (*_SPEEDS, "w", "v", "output", "y")
 _SUPPLY = ("supply", "battery", "vbat", "vbus", "vcc", "bus")
 _OPTIONAL = {"temperature": ("temp",), "supply": _SUPPLY, "current": ("current", "amps", "strom", "i")}
 #: What is neither the input nor the output.
@@ -193,14 +195,14 @@ def guess(*tables: Table) -> Guess:
     columns = numeric_columns(*tables)
     time = _time_section(table, columns if len(tables) == 1 else _numbers([table], list(columns)), unsure)
     left = [n for n in columns if n != time.keys.get("column") and np.nanmax(columns[n]) > np.nanmin(columns[n])]
-    names = _by_values(tables, columns, left, time, unsure) if table.names[0] == "1" else _by_names(left)
+    names = _by_values(tables, columns, left, time, unsure) if table.names[0] == "1" else _by_names(left, table, unsure)
     if (names.drive is None or names.reading is None) and len(left) == 2 and _pick(left, _NEITHER) is None:
-        names = _of_two(tables, columns, left, time, unsure)
+        names = _of_two(names, tables, {n: columns[n] for n in left}, time, unsure)
     if names.drive is None or names.reading is None:
         what = "the input" if names.drive is None else "the output"
         raise BadInput(
-            f"{table.name}: no column looks like {what}; columns are: {listing(table.names)}; write a rig.toml that "
-            "names the columns"
+            f"{table.name}: no column looks like {what}; columns are: {listing(table.names)}; write a rig.toml with "
+            "[time] column, [input] column and [output] column"
         )
     speed = names.is_speed
     if split_unit(names.reading)[0] in _EITHER and _unit(names.reading, table, POSITION_UNITS) is None:
@@ -226,23 +228,40 @@ class _Names:
     is_speed: bool
 
 
-def _by_names(names: Sequence[str]) -> _Names:
-    drives = (*_REFERENCE, *_INPUT[:12], *_SUPPLY)
+def _by_names(names: Sequence[str], table: Table, unsure: list[str]) -> _Names:
+    """The columns by their names; where these say nothing, by the units that stand behind them."""
+    drives = (*_REFERENCE, *_DRIVES, *_SUPPLY)
     position = _pick(names, _POSITION, drives)
     reading = position or _pick(names, _SPEED, drives)
-    drive = _pick([n for n in names if n != reading], _INPUT, (*_REFERENCE, *_SUPPLY, *_POSITION[:9], *_SPEED[:6]))
+    drive = _pick([n for n in names if n != reading], _INPUT, (*_REFERENCE, *_SUPPLY, *_PLACES, *_SPEEDS))
+    if drive is None:
+        drive = _by_unit([n for n in names if n != reading], "the input", INPUT_UNITS, table, unsure)
+    if reading is None:
+        others = [n for n in names if n != drive]
+        reading = position = _by_unit(others, "a position", POSITION_UNITS, table, unsure)
+        reading = reading or _by_unit(others, "a speed", SPEED_UNITS, table, unsure)
     return _Names(drive, reading, position is None)
 
 
+def _by_unit(
+    names: Iterable[str], what: str, units: Mapping[str, object], table: Table, unsure: list[str]
+) -> str | None:
+    """The first column in one of the units that is no reference and no supply."""
+    other = (*_REFERENCE, *_SUPPLY)
+    found = next((n for n in names if _unit(n, table, units) and _pick([n], other) is None), None)
+    if found is not None:
+        unsure.append(f"column '{found}' is taken for {what} by its unit")
+    return found
+
+
 def _of_two(
-    tables: Sequence[Table], columns: Mapping[str, FloatArray], left: Sequence[str], time: Section, unsure: list[str]
+    named: _Names, tables: Sequence[Table], columns: Mapping[str, FloatArray], time: Section, unsure: list[str]
 ) -> _Names:
     """Two columns beside the time are the input and the output: where one is known by its name, the other is, too."""
-    named = _by_names(left)
     if named.drive is None and named.reading is None:
-        return _by_values(tables, columns, left, time, unsure)
-    drive = named.drive or next(n for n in left if n != named.reading)
-    reading = next(n for n in left if n != drive)
+        return _by_values(tables, columns, list(columns), time, unsure)
+    drive = named.drive or next(n for n in columns if n != named.reading)
+    reading = next(n for n in columns if n != drive)
     speed = named.is_speed if named.reading else is_speed(_signals(tables, drive, reading, time))
     unsure.append(f"of two columns, the input is taken to be '{drive}' and a {_what(speed)} '{reading}'")
     return _Names(drive, reading, speed)
@@ -330,7 +349,7 @@ def _explained(recordings: Sequence[Signals], as_speed: bool) -> float:
 def _optional_sections(rest: Sequence[str], table: Table, speed: bool, unit: str) -> dict[str, Section]:
     """What lies beside the input and the output and helps to tell bad readings from motion."""
     sections = {}
-    beside = None if speed else _pick(rest, _SPEED[:6], _REFERENCE)
+    beside = None if speed else _pick(rest, _SPEEDS, _REFERENCE)
     if beside is not None:
         own = _unit(beside, table, SPEED_UNITS) or ("rpm" if "rpm" in split_unit(beside)[0] else "rad/s")
         if not own.startswith("count") and unit != "count" and own.startswith("m") == unit.startswith("m"):
