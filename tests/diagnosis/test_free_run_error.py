@@ -59,6 +59,14 @@ def test_a_model_whose_likeliest_values_make_up_for_physics_is_warned_of() -> No
     assert len(said) == 2 and "lacks physics" in said[1] and "twin diagnose" in said[1]
 
 
+def test_a_horizon_is_not_advised_where_it_was_taken() -> None:
+    recording = made(FIRST.with_("gravity"), gravity_gain=8.0)
+    likeliest, ahead = Model(FIRST, VALUES), Model(FIRST, VALUES, provenance={"horizon": "0.2 s"})
+    said = [sentences(free_run_errors(m, [recording]), m, "rad")[-1] for m in (likeliest, ahead)]
+    assert "lacks physics" in said[0] and "fit over a horizon" in said[0]
+    assert "lacks physics" in said[1] and "horizon" not in said[1]
+
+
 def test_both_kinds_of_values_are_held_against_each_other_on_held_out_data() -> None:
     recording = made(FIRST.with_("motor_lag"), lag_time=0.05)
     model = maximum_likelihood.identify([recording], FIRST)

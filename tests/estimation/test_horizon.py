@@ -97,6 +97,8 @@ def test_a_gap_does_not_make_up_for_a_lag() -> None:
     found = estimate.identify(recording, first)
     assert found.provenance["horizon"] == horizon.WHOLE and horizon.LACKING in found.provenance
     assert found.values["backlash_gap"] < 0.1 and 0.02 < found.values["motor_share"] < 0.98
+    ahead = horizon.for_horizon(found, [recording], 0.2)
+    assert horizon.LACKING not in ahead.provenance  # its values are not those of the best free run
     model = maximum_likelihood.to_model(problem, likeliest, [recording])
     assert free_run(found, recording) < free_run(model, recording)
 

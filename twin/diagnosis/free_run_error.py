@@ -88,10 +88,11 @@ def sentences(errors: Sequence[FreeRunError], model: Model, unit: str) -> list[s
         )
     elif lacking:
         worst = max(lacking, key=lambda e: e.nrmse_percent)
+        other = "" if "horizon" in model.provenance else "; until then a fit over a horizon serves long runs better"
         said.append(
             f"warning: the model lacks physics: in {worst.recording} the missing torque depends on "
             f"{' and '.join(worst.depends_on)}. Its parameters make up for that. "
-            "Run twin diagnose; until then a fit over a horizon serves long runs better."
+            f"Run twin diagnose{other}."
         )
     return said
 

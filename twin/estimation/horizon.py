@@ -42,7 +42,10 @@ _LACKS = "the likeliest values make up for missing physics"
 FOLLOWS = "the likeliest values follow each reading from the last one"
 #: What a model's provenance calls this horizon.
 WHOLE = "whole recordings"
-_NO_GAP = "not determined: with the physics that this model has, the recording is followed better without a gap"
+_NO_GAP = (
+    "with the physics that this model has, the recording is followed better without a gap; find what else is missing, "
+    "with twin diagnose"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,4 +253,6 @@ def for_horizon(model: Model, recordings: Sequence[Recording], horizon: float, c
         problem = problem.on([replace(c, contact=at) for c, at in zip(under, contacts, strict=True)])
     longest = min(horizon, longest_of(problem))
     start = likelihood.evaluate(problem, structure, model.values, model.fitted)
+    # These values are no longer those of the best free run, whatever was said of the likeliest.
+    model = replace(model, provenance={k: v for k, v in model.provenance.items() if k != LACKING})
     return _over(model, fit_over(problem, start, longest), f"{horizon:g} s{', under the own loop' if closed else ''}")
