@@ -31,6 +31,12 @@ def test_what_is_no_number_is_not_written(spoilt: Model) -> None:
         dumps(spoilt)
 
 
+def test_what_was_held_and_has_a_note_is_not_determined() -> None:
+    notes = {"input_gain": "it ends at its bound", "viscous_friction": "no coast-down; add one"}
+    model = replace(MODEL, notes=notes)
+    assert model.undetermined == ("viscous_friction",)
+
+
 def test_a_variance_without_end_is_written_and_read() -> None:
     text = dumps(replace(MODEL, covariance=np.array([[math.inf]])))
     assert math.isinf(loads(text).std("input_gain")) and dumps(loads(text)) == text

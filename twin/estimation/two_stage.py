@@ -541,7 +541,7 @@ def to_model(result: TwoStage, recordings: Sequence[Recording]) -> Model:
     if not result.ok:
         raise ValueError(result.says)
     structure = Structure.of(BASE)
-    unseen = "not estimated: this method throws away the readings that show it; the joint method uses them"
+    unseen = "not estimated: this method throws away the readings that show it; use the joint method"
     lost = "what dead-band and dry friction lose together: in steady driving they are the same thing"
     values = {p.name: p.start for p in structure.parameters}
     values |= {

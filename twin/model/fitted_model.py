@@ -76,8 +76,8 @@ class Model(Tabular):
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """Parameters that the recording cannot fix: the error is as large as the value, and a note says why."""
-        return tuple(n for n in self.notes if n in self.values and self.std(n) >= abs(self.values[n]))
+        """Parameters that the recording cannot fix: a note says why, and the error is as large as the value or none."""
+        return tuple(n for n in self.notes if n in self.values and not self.std(n) < abs(self.values[n]))
 
     def std(self, name: str) -> float:
         """Standard error of a parameter; NaN where it was held fixed."""
