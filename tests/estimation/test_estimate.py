@@ -48,6 +48,12 @@ def test_no_horizon_is_longer_than_what_was_recorded(horizon: float) -> None:
         estimate.identify(still, horizon=horizon)
 
 
+def test_no_horizon_is_shorter_than_a_sample() -> None:
+    still = Recording("made", 0.002 * np.arange(9), np.arange(9.0), np.arange(9.0), "%", "rad", 1e-4)
+    with pytest.raises(BadInput, match=r"less than one sample of 0.002 s"):
+        estimate.identify(still, horizon=0.001)
+
+
 def test_a_loop_that_is_not_known_is_told() -> None:
     still = Recording("made", 0.002 * np.arange(9), np.arange(9.0), np.arange(9.0), "%", "rad", 1e-4)
     with pytest.raises(BadInput, match="loop"):

@@ -106,7 +106,8 @@ def _sentences(history: Track, forecasts: Sequence[Forecast]) -> list[str]:
     from twin.diagnosis.change import DRIVE
     from twin.display.numbers import capital, listed
 
-    said = [f"{len(history.fits)} recordings."]
+    count = len(history.fits)
+    said = [f"{count} recording{'s' if count != 1 else ''}."]
     for a in history.alarms:
         said.append(
             f"{capital(listed([c.says for c in a.changes]))}: since {history.names[a.since]}, "

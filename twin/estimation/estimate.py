@@ -73,7 +73,7 @@ def changed_structure(structure: Structure, include: Iterable[str] = (), exclude
     structure = structure.with_(*(_known_effect(e, "`include`") for e in include))
     for effect in exclude:
         if _known_effect(effect, "`exclude`") == "inertia":
-            raise BadInput("`exclude` names inertia: every model has an input gain; leave that out")
+            raise BadInput("`exclude` names inertia, which every model has: keep it")
         if effect not in structure:
             has = ", ".join(structure.ids)
             raise BadInput(f"`exclude` names {effect}: the first model has no such effect; it has {has}")
@@ -193,6 +193,9 @@ def _check_request(recordings: Sequence[Recording], method: str, horizon: float 
     longest = max((float(r.time[-1]) for r in recordings), default=0.0)
     if horizon is not None and horizon > longest:
         raise BadInput(f"the horizon is {horizon:g} s, the longest recording lasts {longest:g} s: give a shorter one")
+    step = min((float(np.median(np.diff(r.time))) for r in recordings), default=0.0)
+    if horizon is not None and horizon < (1.0 - 1e-6) * step:
+        raise BadInput(f"the horizon is {horizon:g} s, less than one sample of {step:.3g} s: give a longer one")
     if closed_loop and horizon is None:
         raise BadInput("`closed_loop` says how to predict over a horizon: give `horizon`, in s")
     for recording in recordings if closed_loop else ():
