@@ -13,7 +13,7 @@ from twin.errors import BadInput
 from twin.io.preflight.checks import examine
 from twin.io.preflight.finding import Severity
 from twin.io.preflight.response import Signals
-from twin.io.recording import Recording, load, to_fit
+from twin.io.recording import Recording, load, preflight_of, to_fit
 
 ROOT = Path(__file__).resolve().parents[2]
 SHARED = ROOT.parent / "shared"
@@ -234,6 +234,7 @@ def test_an_output_that_stands_while_another_column_moves(tmp_path: Path, speed_
     if speed_goes_on:
         assert [r.name for r in recordings] == ["0.csv", "2.csv"]
         assert kinds(recordings[0]) == ["standing"]
+        assert preflight_of(recordings)[0]["recording"] == "1.csv"
         assert (
             "1.csv is left out: its output stands still throughout while column 'speed'"
             in recordings[0].preflight[0].says

@@ -112,14 +112,14 @@ def fault_lines(recordings: Sequence[Recording]) -> list[str]:
     from twin.io.faults import summarise
 
     several = len(recordings) > 1
-    lines = [(r.name, line) for r in recordings for line in [*_preflight_lines(r), *summarise(r.faults)]]
+    lines = [line for r in recordings for line in [*_preflight_lines(r), *((r.name, s) for s in summarise(r.faults))]]
     said = [f"{name}: {line}" if several else line for name, line in lines[:MOST_LINES]]
     more = len(lines) - len(said)
     return [*said, f"and {more} more lines of this kind; --json FILE holds them all"] if more else said
 
 
-def _preflight_lines(recording: Recording) -> list[str]:
-    return [f"{f.says[0].upper()}{f.says[1:]}." for f in recording.preflight]
+def _preflight_lines(recording: Recording) -> list[tuple[str, str]]:
+    return [(f.about or recording.name, f"{f.says[0].upper()}{f.says[1:]}.") for f in recording.preflight]
 
 
 def parameters_to_json(model: Model) -> dict[str, Any]:

@@ -272,7 +272,7 @@ def to_fit(recordings: Sequence[Recording]) -> list[Recording]:
 def preflight_of(recordings: Sequence[Recording]) -> list[dict[str, str]]:
     """What the checks before any fit found, as JSON of every command says it."""
     return [
-        {"recording": r.name, "kind": f.kind, "severity": f.severity.value, "says": f.says}
+        {"recording": f.about or r.name, "kind": f.kind, "severity": f.severity.value, "says": f.says}
         for r in recordings
         for f in r.preflight
     ]
@@ -434,6 +434,7 @@ def _without_standing(recordings: list[Recording], sources: Sequence[tuple[Path,
             f"the recording {recordings[k].name} is left out: its output stands still throughout while column '{name}' "
             "says that the axis moves",
             Severity.WARNS,
+            recordings[k].name,
         )
         for k, name in out.items()
     )

@@ -434,7 +434,7 @@ def _faults(story: Story) -> str:
     ]
     said = _said(f"{len(faults)} faults; the first {_MOST_ROWS}:") if len(faults) > _MOST_ROWS else ""
     assumed = "".join(_said(f"Assumed, for want of a rig file: {a}") for a in (story.rig.assumed if story.rig else ()))
-    assumed += "".join(_said(f"{r.name}: {f.says}.") for r in d.recordings for f in r.preflight)
+    assumed += "".join(_said(f"{f.about or r.name}: {f.says}.") for r in d.recordings for f in r.preflight)
     if not rows:
         return _section("recording", "The recording", assumed, _said("No faults were found in it."))
     table = _table(("fault", "from, s", "to, s", ""), rows, ("", "number", "number", ""))

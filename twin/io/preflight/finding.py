@@ -15,8 +15,12 @@ class Severity(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding: its kind, and a sentence with the place, the value and the cure."""
+    """One finding: its kind, and a sentence with the place, the value and the cure.
+
+    `about` is the name of the recording, where that is not the one which carries the finding.
+    """
 
     kind: str
     says: str
     severity: Severity
+    about: str = ""
