@@ -304,6 +304,21 @@ def test_a_folder_with_results_is_not_overwritten(capsys, bench):
     assert "not a folder" in refused(capsys, bench, "run", "good.csv", "--out", "no/such/place")
 
 
+def test_what_is_said_of_an_axis_is_refused_for_a_controller(capsys, bench):
+    for option in (["--evidence", "good.csv"], ["--author", "A"], ["--license", "MIT"], ["--modelica", "a.mo"]):
+        assert "c.toml is a controller" in refused(capsys, bench, "export", "c.toml", "--out", "new.fmu", *option)
+    assert call(capsys, "export", "c.toml", "--out", "c.fmu")[0] == 0
+    assert "c.fmu is a controller" in refused(capsys, bench, "update", "c.fmu", "--from", "model.toml")
+    assert "minimum-jerk, sine, step" in refused(capsys, bench, "cosim", "arm.fmu", "c.toml", "--reference", "ramp")
+
+
+def test_an_update_that_changes_nothing_warns_of_nothing(capsys, bench):
+    given = ("export", "model.toml", "--out", "with.fmu", "--evidence", "good.csv")
+    assert call(capsys, *given)[0] == 0
+    assert call(capsys, "update", "with.fmu", "--from", "model.toml")[1] == "with.fmu: 0 of 9 parameters changed.\n"
+    assert "of the old parameters" in call(capsys, "update", "with.fmu", "--from", "other.toml")[1]
+
+
 def test_force_overwrites_and_update_needs_none(capsys, bench):
     old = (bench / "arm.fmu").read_bytes()
     assert call(capsys, "export", "other.toml", "--out", "arm.fmu", "--force")[0] == 0
@@ -726,6 +741,7 @@ def test_the_vocabulary_is_shown_and_one_effect_in_full(capsys, tmp_path, monkey
     assert code == 0 and "gravity_gain*sin(" in out and "travel over more than half a turn" in out
     told = json.loads((tmp_path / "gravity.json").read_text(encoding="utf-8"))["effects"][0]
     assert "sin" in told["equation"] and told["confused_with"].keys() >= {"spring"}
+    assert "did you mean gravity" in refused(capsys, tmp_path, "effects", "gravty")
     assert "known are" not in out and "there are" in refused(capsys, tmp_path, "effects", "gravitation")
 
 

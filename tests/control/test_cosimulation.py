@@ -284,7 +284,7 @@ def test_csv_reference_is_what_it_was(tmp_path: Path) -> None:
     ("text", "says"),
     [
         ("", "empty"),
-        ("t,x\n0,0\n", "no column 'position'"),
+        ("t,x\n0,0\n", r"no column 'position'.*call it 'position \[rad\]'"),
         ("t,position\n0,0\n1,a\n2,0\n3,0\n", "line 3, column 'position': 'a' is no number"),
         ("t,position\n0,0\n1\n2,0\n3,0\n", "line 3"),
         ("t,position\n0,0\n1,nan\n2,0\n3,0\n", "line 3"),

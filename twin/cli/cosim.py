@@ -34,6 +34,8 @@ def _cosim(args: argparse.Namespace) -> int:
         wanted = reference.make_reference(kind, made, args.amplitude, args.duration)
     elif args.amplitude is not None or args.duration is not None:
         raise BadInput(f"--amplitude and --duration shape {', '.join(reference.KINDS)}, not a file like {kind}")
+    elif not Path(kind).suffix and not Path(kind).exists():
+        raise BadInput(f"--reference is {kind!r}: give one of {', '.join(reference.KINDS)}, or a file that there is")
     else:
         wanted = reference.read_reference(Path(kind), made)
     from twin.control import cosimulation

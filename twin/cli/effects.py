@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 from twin.cli.command import Command, check_outputs
@@ -28,7 +29,9 @@ def _effects(args: argparse.Namespace) -> int:
     elif args.id in named:
         said, answer = _lines(named[args.id]), {"format": "twin-effects/1", "effects": [_to_json(named[args.id])]}
     else:
-        raise BadInput(f"there is no effect {args.id!r}; there are {', '.join(named)}")
+        close = get_close_matches(args.id.replace("-", "_").lower(), named, 1)
+        meant = f"did you mean {close[0]}? " if close else ""
+        raise BadInput(f"there is no effect {args.id!r}; {meant}there are {', '.join(named)}")
     answer_user(args, said, answer)
     return 0
 

@@ -17,6 +17,12 @@ if TYPE_CHECKING:
     from twin.io.recording import Recording
     from twin.model.fitted_model import Model
 
+#: Options that say nothing of a controller.
+_OF_THE_AXIS = (
+    "ssv", "ssp", "controller", "modelica", "held-input", "evidence", "rig", "report", "author", "model-version",
+    "license",
+)  # fmt: skip
+
 
 def _export(args: argparse.Namespace) -> int:
     check_outputs(args, args.out, args.ssv, args.ssp, args.modelica)
@@ -37,8 +43,8 @@ def _export(args: argparse.Namespace) -> int:
 
     answer: dict[str, Any] = {"format": "twin-export/1", "fmu": str(args.out), "target": args.target, "fmi": args.fmi}
     if toml.format_of(text) == controller.FORMAT:
-        for option in ("ssv", "ssp", "modelica", "held-input"):
-            if getattr(args, option.replace("-", "_")):
+        for option in _OF_THE_AXIS:
+            if getattr(args, "log" if option == "evidence" else option.replace("-", "_")):
                 raise BadInput(f"--{option} needs the MODEL.toml of the axis, {args.model} is a controller")
         made = controller.loads(text, str(args.model))
         _export_controller(args, made, args.out)
@@ -179,7 +185,7 @@ def _update(args: argparse.Namespace) -> int:
             answer["evidence"] = evidence.attach(draft, [evidence.Trial(r) for r in recordings])
             said.append(_carries(out, answer["evidence"]))
         put(out, draft.read_bytes())
-    if not recordings and (old_evidence := evidence.of_old_parameters(out)):
+    if changed and not recordings and (old_evidence := evidence.of_old_parameters(out)):
         said.append(old_evidence)
     answer_user(args, said, answer)
     return 0

@@ -221,7 +221,11 @@ def _find_columns(table: Table, axis_unit: str) -> tuple[dict[str, str], dict[st
             columns[wanted], factors[wanted] = column, factor
     for wanted in ("time", "position"):
         if wanted not in columns:
-            raise BadInput(f"{table.name}: no column '{wanted}' among {listing(table.names)}: name it so")
+            unit = axis_unit if wanted == "position" else "s"
+            raise BadInput(
+                f"{table.name}: no column '{wanted}' among {listing(table.names)}: call it '{wanted} [{unit}]' and "
+                "give it in that unit"
+            )
     return columns, factors
 
 

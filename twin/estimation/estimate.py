@@ -73,7 +73,7 @@ def changed_structure(structure: Structure, include: Iterable[str] = (), exclude
     structure = structure.with_(*(_known_effect(e, "`include`") for e in include))
     for effect in exclude:
         if _known_effect(effect, "`exclude`") == "inertia":
-            raise BadInput("`exclude` names inertia, which every model has: keep it")
+            raise BadInput("`exclude` names inertia, but every model has an input gain: keep it")
         if effect not in structure:
             has = ", ".join(structure.ids)
             raise BadInput(f"`exclude` names {effect}: the first model has no such effect; it has {has}")

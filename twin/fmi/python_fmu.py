@@ -97,6 +97,8 @@ def export(model: Model, out: Path, force: bool = False) -> Path:
 def read_model(fmu: Path) -> Model:
     """The model inside an FMU of ours. Raises BadInput."""
     opened = open_fmu(fmu)
+    if "resources/controller.toml" in opened.members:
+        raise BadInput(f"{fmu} is a controller: give the FMU of the axis; a controller is exported anew")
     try:
         text = opened.read(_MODEL).decode("utf-8")
     except UnicodeDecodeError:
@@ -346,7 +348,7 @@ def replay(fmu: Path, recording: Recording, start: tuple[float, float] | None = 
     names = {node.get("name") for node in shown}
     inputs = [node.get("name", "") for node in shown if node.get("causality") == "input"]
     if len(inputs) != 1:
-        raise BadInput(f"{fmu} has {len(inputs)} inputs, not one: give an FMU that twin export wrote")
+        raise BadInput(f"{fmu} has {len(inputs)} inputs, not one: give the FMU of an axis, as twin export writes it")
     units = {name: unit for unit, name in INPUT_NAMES.items()}
     check_units(recording, str(fmu), units.get(inputs[0], ""), opened.unit("position"))
     position, velocity = start_values(recording, model) if start is None else start
