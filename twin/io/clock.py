@@ -18,6 +18,8 @@ _PAUSE_STEPS, _PAUSE = 50.0, 1.0
 SHORTEST_STEP, LONGEST_STEP, _SHORTEST = 20e-6, 0.5, 0.5
 #: The step of a fast converter, s: below, stamps are no time at all.
 CONVERTER_STEP = 1e-6
+#: More decimals no log writes.
+_DECIMALS = 20
 #: Stamps of a burst: the median step is below this share of the mean one, and a burst holds so many.
 _CROWDED, _MIN_BURST, _MIN_BURSTS, _ALIKE = 0.2, 3, 5, 0.8
 
@@ -28,6 +30,21 @@ class Stamps:
 
     time: FloatArray
     faults: tuple[Fault, ...] = ()
+
+
+def count_from_first(stamps: FloatArray) -> FloatArray:
+    """Stamps since the first, in the unit of the file, as a log that begins at 0 writes them.
+
+    A double holds a late stamp more coarsely than an early one, and the difference shows that. Rounded to the decimals
+    that the largest stamp can hold, one recording has the same times whenever it was made.
+    """
+    since: FloatArray = stamps - stamps[0]
+    if stamps[0] == 0.0:
+        return since
+    decimals = np.floor(-np.log10(4.0 * np.spacing(np.max(np.abs(stamps)))))
+    if 0 <= decimals <= _DECIMALS:
+        since = np.round(since, int(decimals))
+    return since
 
 
 def undo_counter_wraps(stamps: FloatArray) -> tuple[FloatArray, list[int]]:

@@ -14,7 +14,15 @@ from twin.display.table import DisplayTable, Tabular
 from twin.errors import BadInput
 from twin.io import thinning
 from twin.io.cleaning import Raw, clean_optional, clean_output, hold
-from twin.io.clock import CONVERTER_STEP, LONGEST_STEP, bridge_jumps, check_unit, spread_bursts, undo_counter_wraps
+from twin.io.clock import (
+    CONVERTER_STEP,
+    LONGEST_STEP,
+    bridge_jumps,
+    check_unit,
+    count_from_first,
+    spread_bursts,
+    undo_counter_wraps,
+)
 from twin.io.edges import counted
 from twin.io.faults import Fault, find_gaps
 from twin.io.joined import join_files
@@ -678,7 +686,7 @@ def _time(
         raise BadInput(f"{table.name}: column '{column}' holds fewer than two time stamps")
     with np.errstate(over="ignore", invalid="ignore"):
         unwrapped, wraps = undo_counter_wraps(stamps[rows])
-        time: FloatArray = np.asarray((unwrapped - unwrapped[0]) * clock.factor, dtype=np.float64)
+        time: FloatArray = np.asarray(count_from_first(unwrapped) * clock.factor, dtype=np.float64)
     if not np.isfinite(time).all():
         row = int(rows[int(np.argmin(np.isfinite(time)))])
         raise BadInput(
