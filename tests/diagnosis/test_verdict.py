@@ -127,6 +127,12 @@ def test_a_later_time_is_told_where_something_is_off() -> None:
     assert claim.verdict == "unexplained" and "time beyond 0 to 42" in claim.says
 
 
+def test_good_figures_are_not_said_to_show_that_something_is_missing() -> None:
+    claim = verdict.decide(sound(), [], False, True)
+    assert claim.verdict == "unexplained" and not claim.objections
+    assert claim.says.startswith("The figures are good, but")
+
+
 def test_names_that_leave_the_fitted_data_unexplained_are_not_called_the_cause() -> None:
     half = Comparison(FreeRun(0.8, 0.012, 0.0, 0.024), FreeRun(0.4, 0.012, 0.0, 0.024), 3.0)
     figures = replace(sound(), free_run={"train": half, "holdout": sound().free_run["holdout"]})

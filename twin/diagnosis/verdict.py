@@ -176,7 +176,7 @@ _ALTHOUGH = ", although with it the free run through the fitted data errs {} as 
 #: The same where no figure speaks against the model, but something in it, or left by it, has no name.
 _WITHOUT_NAME: Mapping[str, str] = {
     "partly_explained": "The figures support what is named, and something without a name beside it",
-    "unexplained": "The figures show that something without a name is missing",
+    "unexplained": "The figures are good, but something in the model, or left by it, has no name",
 }
 
 
