@@ -23,6 +23,9 @@ _OF_THE_AXIS = (
     "license",
 )  # fmt: skip
 
+#: A compiler for other platforms builds their C libraries first, for minutes, and keeps them.
+_COMPILING = "compiling for each platform, minutes the first time"
+
 
 def _export(args: argparse.Namespace) -> int:
     check_outputs(args, args.out, args.ssv, args.ssp, args.modelica)
@@ -140,7 +143,7 @@ def _export_axis(
     offers, result = "co-simulation", None
     with show_progress(args) as tell, tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / args.out.name
-        tell("compiling the FMU", 0.0)
+        tell(_COMPILING if args.target == "native" else "writing the FMU", 0.0)
         if args.target == "native":
             native_fmu.export_native(found, draft, args.fmi)
             offers = native_fmu.offers(found.structure)
@@ -162,7 +165,7 @@ def _export_controller(args: argparse.Namespace, made: Controller, out: Path) ->
 
     if args.target == "native":
         with show_progress(args) as tell:
-            tell("compiling the controller", 0.0)
+            tell(_COMPILING, 0.0)
             controller_fmu.export_native(made, out, args.fmi, args.force)
     else:
         controller_fmu.export_controller(made, out, args.force)
