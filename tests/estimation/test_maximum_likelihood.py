@@ -155,3 +155,17 @@ def test_a_limit_of_the_drive_that_is_reached_is_found_and_another_clips_nothing
     assert model.values["saturation_limit"] == pytest.approx(found, rel=0.01)
     assert model.values["input_gain"] == pytest.approx(VALUES["input_gain"], rel=0.01)
     assert ("saturation_limit" in model.undetermined) is (limit > 60.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "end", "says"),
+    [("tooth_frequency", 1, "too stiff to show"), ("tooth_frequency", 0, "missing"), ("backlash_gap", 1, "missing")],
+)
+def test_what_a_bound_means_is_said_of_the_end_at_which_it_was_met(name: str, end: int, says: str) -> None:
+    """Teeth may be stiffer than a recording shows; softer ones are a joint, and wider gaps are something else."""
+    problem = preparation.prepare_recordings([made(600)], STRUCTURE)
+    values = {**VALUES, name: parameter_bounds.bounds_of(name)[end]}
+    free = problem.free(STRUCTURE)
+    point = optimizer.levenberg_marquardt(problem.at(1.0), STRUCTURE, values, free, rounds=0)
+    said = maximum_likelihood.notes(point, np.zeros((len(free), len(free))))
+    assert "ends at its bound" in said[name] and says in said[name]

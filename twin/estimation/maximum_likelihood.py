@@ -60,9 +60,9 @@ def notes(point: Fit, covariance: NDArray[np.float64]) -> dict[str, str]:
     for name in point.free:
         bounds = parameter_bounds.bounds_of(name)
         if name in multistart.MULTIMODAL and point.values[name] in bounds and point.values[name] != 0.0:
-            told = (
-                f"it ends at its bound of {point.values[name]:.3g}: a sign that it makes up for physics that is missing"
-            )
+            stiff = name == "tooth_frequency" and point.values[name] == bounds[1]
+            why = "the teeth are too stiff to show" if stiff else "a sign that it makes up for physics that is missing"
+            told = f"it ends at its bound of {point.values[name]:.3g}: {why}"
             said[name] = "; ".join([told, *filter(None, [said.get(name)])])
     if not point.converged and point.free:
         # Every model has an input gain, and it comes first: what is said of it is read.
