@@ -441,7 +441,7 @@ def _diagnosed(
     laps.end("search")
     chosen, pair = _choose(tested, searched, first, tell)
     before, after = pair.first.model, pair.last.model
-    laps.end("term without a name, adequacy")
+    laps.end("curves and adequacy")
     fits = (pair.first.fit, pair.last.fit)
     missing = [residual_torque.missing_torque(chosen.case, p.structure, p.values) for p in fits]
     shapes = [tuple(residual_torque.torque_shapes(m)) for m in missing]
