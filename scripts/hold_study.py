@@ -22,21 +22,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from excitations import EXCITATIONS, FREE
+from gallery import COUNTS
 from simulators import SIMULATORS
 
 from twin.diagnosis import held_sensor
 from twin.io import recording
 
-RIG = """[time]
-column = "time"
-[input]
-column = "duty"
-unit = "%"
-[output]
-column = "counts"
-unit = "count"
-counts_per_revolution = {}
-"""
 SHORTEST, LONGEST = 0.005, 0.05  # s, between readings of a slow sensor
 
 
@@ -64,8 +55,8 @@ def judge(simulator: str, number: int, seed: int = 1, duration: float = 20.0) ->
     with tempfile.TemporaryDirectory() as folder:
         log, told = Path(folder) / "log.csv", Path(folder) / "rig.toml"
         rows = np.column_stack([time, duty, counts])
-        np.savetxt(log, rows, ("%.4f", "%.2f", "%d"), ",", header="time,duty,counts", comments="")
-        told.write_text(RIG.format(run.counts_per_revolution), encoding="utf-8")
+        np.savetxt(log, rows, ("%.4f", "%.2f", "%d"), ",", header="t,duty,counts", comments="")
+        told.write_text(COUNTS.format(counts=run.counts_per_revolution), encoding="utf-8")
         findings = held_sensor.finding(recording.load([log], told)[0])
     return Held(simulator, interval, findings[0].parameters["refresh"].value if findings else 0.0)
 
@@ -76,9 +67,8 @@ def table(seen: Sequence[Held]) -> str:
         f"{'simulator':10} {'slow':>5} {'found':>6} {'interval off, worst %':>22} {'others':>7} {'called slow':>12}"
     ]
     for name in dict.fromkeys(s.simulator for s in seen):
-        slow, others = (
-            [s for s in seen if s.simulator == name and bool(s.true) is is_slow] for is_slow in (True, False)
-        )
+        own = [s for s in seen if s.simulator == name]
+        slow, others = [s for s in own if s.true], [s for s in own if not s.true]
         found = [s for s in slow if s.found]
         off = max((abs(s.found / s.true - 1.0) for s in found), default=math.nan)
         alarms = sum(bool(s.found) for s in others)

@@ -51,8 +51,6 @@ from twin.model.stepper import Structure
 
 #: So many recordings are named in one sentence; more are counted.
 _MOST_NAMED = 3
-#: Parameters that are moments of a recording, s.
-_MOMENTS = ("load_time", "pulse_start")
 
 
 def _fitness(chosen: Sequence[Trace], which: str, white: float) -> Fitness:
@@ -200,14 +198,16 @@ def _moment_held_out(searched: _Searched) -> str:
     When in that part it was no fit can know, and a free run through it errs until then or from then on.
     """
     last = searched.found.last
-    for name, moment in ((n, last.values[n]) for n in _MOMENTS if n in last.free):
+    for effect in last.structure.effects:
+        moment = effect.screen and effect.screen.moment
+        if moment not in last.free:
+            continue
         for part in searched.held_out:
-            if not part.whole and part.begin <= moment <= part.end:
-                (title,) = (e.title for e in last.structure.effects if name in {p.name for p in e.parameters})
+            if not part.whole and part.begin <= last.values[moment] <= part.end:
                 lies = f"between {number(part.begin)} and {number(part.end)} s"
                 return (
-                    f"{capital(title)}: its moment lies {lies}, which was held out, so that no fit could see it. "
-                    "So blocks all over the recording were held out instead, and the search begun anew."
+                    f"{capital(effect.title)}: its moment lies {lies}, which was held out, so that no fit could see "
+                    "it. So blocks all over the recording were held out instead, and the search begun anew."
                 )
     return ""
 
@@ -266,7 +266,7 @@ class _Chosen:
     """The search with the names or the curve that stand, and how well they are known.
 
     `foreseen` is the last model with its longest filter memory, and the problem that it is judged by there.
-    `left` is what the first and the last model lack in the recording `case`, in which the first lacks most.
+    `left` is what the first and the last model lack in the recording `case`. The first lacks most there.
     """
 
     found: SearchResult
@@ -445,6 +445,7 @@ def _diagnosed(
     fits = (pair.first.fit, pair.last.fit)
     missing = [residual_torque.missing_torque(chosen.case, p.structure, p.values) for p in fits]
     shapes = [tuple(residual_torque.torque_shapes(m)) for m in missing]
+    local = localization.without_base(missing[0])
     laps.end("locate")
     tell("checking on held-out data through the FMU", 0.9)
     shown = _free_runs(searched, before, after, closed)
@@ -456,7 +457,8 @@ def _diagnosed(
     roughness = maximum_likelihood.roughness(chosen.found.problem, chosen.found.last)
     laps.end("next experiment")
     added = [*(f.id for f in findings), *(i for i in after.structure.ids if i in UNKNOWN)]
-    still = nonparametric.is_dependence_left(chosen.left[1]) or chosen.others_left
+    lacks, rest = map(nonparametric.is_dependence_left, chosen.left)
+    still = rest or chosen.others_left
     claim = claims.decide(pair.figures, findings, still, any(i in UNKNOWN for i in added))
     depends = tuple(EFFECTS[added[0]].depends_on) if added else chosen.left[0].variables
     return Diagnosis(
@@ -466,7 +468,7 @@ def _diagnosed(
         station=EFFECTS[added[0]].station if added else "",
         depends_on=depends if claim.verdict != "nothing_missing" else (),
         telling=telling,
-        segments=tuple(localization.segments(localization.without_base(missing[0]))),
+        segments=tuple(localization.segments(local)),
         before=before,
         after=after,
         fit=fit,
@@ -482,26 +484,24 @@ def _diagnosed(
         seconds=laps.seconds,
         not_borne_out=chosen.failed,
         adequacy=replace(pair.figures, says=claim.says),
-        regimes=_regimes(chosen, missing[0]),
-        gain_bias=_gain_bias(chosen, missing[0], before.values["input_gain"]),
+        regimes=_regimes(chosen, local) if lacks else (),
+        gain_bias=_gain_bias(missing[0], before.values["input_gain"]) if lacks else 0.0,
     )
 
 
-def _gain_bias(chosen: _Chosen, missing: MissingTorque, fitted: float) -> float:
-    """By what share the first model's input gain is too large because of what it lacks; 0 where it lacks nothing."""
-    if not nonparametric.is_dependence_left(chosen.left[0]):
-        return 0.0
+def _gain_bias(missing: MissingTorque, fitted: float) -> float:
+    """By what share the first model's input gain is too large because of what it lacks."""
     straight = fitted + localization.gain_error(missing)
     return fitted / straight - 1.0 if straight > 0.0 else 0.0
 
 
-def _regimes(chosen: _Chosen, missing: MissingTorque) -> tuple[Regime, ...]:
+def _regimes(chosen: _Chosen, local: MissingTorque) -> tuple[Regime, ...]:
     """Where the first model lacks most, in the variable that this goes with. An angle counts from turn to turn."""
     lacking = chosen.left[0]
-    if not nonparametric.is_dependence_left(lacking) or lacking.table.startswith("wave"):
+    if lacking.table.startswith("wave"):
         return ()
     turn = 2.0 * math.pi if lacking.table.startswith("angle") else 0.0
-    return tuple(localization.regimes_of(localization.without_base(missing), lacking.variables, turn))
+    return tuple(localization.regimes_of(local, lacking.variables, turn))
 
 
 def _remarks(found: SearchResult, fit: Mapping[str, Mapping[str, Fitness]], roughness: float) -> list[str]:

@@ -250,8 +250,9 @@ def _with_level_dead_bands(problem: FitProblem, last: Fit) -> Fit:
     error = math.sqrt(max(float(last.robust_covariance[place, place]), 0.0))
     if abs(last.values["offset"]) >= thresholds.MIN_SIZE_IN_ERRORS * error:
         return last
-    begun, free = last.values | torque_regression.equal_dead_bands(last.values), (n for n in last.free if n != "offset")
-    level = optimizer.levenberg_marquardt(problem.at(last.process_noise), last.structure, begun, tuple(free))
+    begun = last.values | torque_regression.equal_dead_bands(last.values)
+    free = tuple(n for n in last.free if n != "offset")
+    level = optimizer.levenberg_marquardt(problem.at(last.process_noise), last.structure, begun, free)
     return level if model_comparison.criterion_difference(last, level) < thresholds.UNDECIDED_MARGIN else last
 
 

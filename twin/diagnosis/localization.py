@@ -8,14 +8,15 @@ What they leave is small wherever the base alone acts.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from twin.diagnosis.residual_torque import TORQUE_MEMORY, MissingTorque
+from twin.diagnosis.residual_torque import MissingTorque
+from twin.io.faults import runs
 
 FloatArray = NDArray[np.float64]
 
@@ -49,8 +50,8 @@ class Regime:
 
 
 def _width(missing: MissingTorque) -> int:
-    """Stamps over which the filter that read the torque has smoothed it."""
-    return max(round(TORQUE_MEMORY / missing.step), 1)
+    """Stamps over which the filter that read the torque has smoothed it: twice an average."""
+    return max(round(2.0 * missing.averaging / missing.step), 1)
 
 
 def _base_columns(missing: MissingTorque) -> FloatArray:
@@ -113,17 +114,11 @@ def segments(missing: MissingTorque, window: float = 0.5, most: int = 8) -> list
         return []
     loud = energy > max(3.0 * float(np.median(energy)), 0.5 * total / len(energy))
     found = [
-        Segment(i * width, min(j * width, float(missing.time[-1])), float(energy[i:j].sum()) / total)
-        for i, j in _runs(loud)
+        Segment(i * width, min((j + 1) * width, float(missing.time[-1])), float(energy[i : j + 1].sum()) / total)
+        for i, j in runs(loud)
     ]
     found.sort(key=lambda s: -s.share)
     return sorted(found[:most], key=lambda s: s.start)
-
-
-def _runs(flags: NDArray[np.bool_]) -> Iterable[tuple[int, int]]:
-    """Begin and end of each run of true ones."""
-    turns = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
-    return zip(turns[::2].tolist(), turns[1::2].tolist(), strict=True)
 
 
 def regimes(missing: MissingTorque, variable: str, period: float = 0.0) -> list[Regime]:
@@ -159,7 +154,7 @@ def regimes(missing: MissingTorque, variable: str, period: float = 0.0) -> list[
     loud = size > 0.5 * size.max()
     if loud.all():
         return []
-    found = [Regime(variable, float(edges[i]), float(edges[j]), period) for i, j in _runs(loud)]
+    found = [Regime(variable, float(edges[i]), float(edges[j + 1]), period) for i, j in runs(loud)]
     if period and len(found) > 1 and loud[0] and loud[-1]:
         return [*found[1:-1], Regime(variable, found[-1].low, found[0].high, period)]
     return found

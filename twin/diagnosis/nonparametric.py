@@ -57,9 +57,9 @@ _EULER_MASCHERONI = 0.5772156649015329
 class Dependence:
     """How well one state, or a pair, predicts the missing torque.
 
-    `share` of the variance of the torque is predicted on stretches not used for it; that is `score` standard
-    deviations above what noise gives; `size` is the RMS of the predicted torque, as acceleration. `table` is the
-    state's own name, `variables` says the same in the words of the contract.
+    `share` of the variance of the torque is predicted on stretches not used for it. That is `score` standard
+    deviations above what noise gives. `size` is the RMS of the predicted torque, as acceleration. `table` is the
+    state's own name. `variables` says the same in the words of the contract.
     """
 
     table: str
@@ -74,7 +74,7 @@ class RemainingDependence:
     """What is still predictable in the missing torque: the best of all dependences.
 
     `p_value` is the chance that noise does as well in any of the tables. `of_motion` is its size as a share of the
-    axis' acceleration. `memory` is that of the filter that shows it, s; `sizes` has the size by each memory asked.
+    axis' acceleration. `memory` is that of the filter that shows it, s. `sizes` has the size by each memory asked.
     """
 
     share: float

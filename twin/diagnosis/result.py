@@ -106,10 +106,10 @@ class NotBorneOut:
 class Diagnosis(Tabular):
     """The answer of `twin diagnose`.
 
-    `verdict` is explained, nothing_missing, partly_explained, unexplained or inconclusive; or stopped, of a search that
-    was ended early (`twin.diagnosis.unfinished`). `ranking` pairs effect ids with probabilities, the likeliest first.
-    `fit` is keyed by "train" and "holdout", then "before" and "after". `undecided` are pairs that this recording cannot
-    tell apart, with the experiment that would.
+    `verdict` is explained, nothing_missing, partly_explained, unexplained or inconclusive. It is stopped where the
+    search was ended early (`twin.diagnosis.unfinished`). `ranking` pairs effect ids with probabilities, the likeliest
+    first. `fit` is keyed by "train" and "holdout", then "before" and "after". `undecided` are pairs that this recording
+    cannot tell apart, with the experiment that would.
     """
 
     verdict: str

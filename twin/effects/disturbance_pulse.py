@@ -55,6 +55,6 @@ EFFECT = Effect(
         "load_change": "rest: a changed load shows only while accelerating",
         "periodic_disturbance": "record for longer: a periodic torque returns",
     },
-    screen=Screen("pulse_torque", trials=trials, local=True),
+    screen=Screen("pulse_torque", trials=trials, local=True, moment="pulse_start"),
     plausible=plausible,
 )

@@ -68,7 +68,8 @@ class Screen:
     that of its derivative by the phase. `grid` holds trial values of other parameters; where they depend on what is
     seen, `trials` gives them row by row. A law that acts at one place or time is `local`. It has many rows, and those
     whose law best follows the missing torque are tried. `rate` names a parameter that says how often the law repeats
-    over the position or the time: its values are the strongest lines of the missing torque.
+    over the position or the time: its values are the strongest lines of the missing torque. `moment` names the
+    parameter that says when in a recording the effect begins.
     """
 
     gain: str
@@ -78,6 +79,7 @@ class Screen:
     trials: Callable[[Seen], list[dict[str, float]]] | None = None
     local: bool = False
     rate: str | None = None
+    moment: str | None = None
 
 
 @dataclass(frozen=True)

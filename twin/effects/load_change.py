@@ -34,5 +34,5 @@ EFFECT = Effect(
     sentence="At {load_time} the inertia changes by {load_added} of what it was.",
     reference="Basseville, Nikiforov, Detection of Abrupt Changes, 1993",
     confused_with={"thermal_fade": "repeat the first block at the end: heat comes slowly, a load at once"},
-    screen=Screen("load_added", trials=trials),
+    screen=Screen("load_added", trials=trials, moment="load_time"),
 )
