@@ -379,8 +379,8 @@ def test_a_start_is_looked_for_in_parts_of_a_long_recording_unless_it_lies_at_a_
     """A stop is met between two of the parts, and found; a delay, which acts all the time, needs less than half."""
     structure = Structure.of(["inertia", "viscous_friction", "dead_band"])
     values = {"input_gain": 0.4, "viscous_friction": 2.0, "dead_band_forward": 5.0, "dead_band_reverse": 4.0}
-    time, count = 0.002 * np.arange(30000), 2.0 * np.pi / 16384.0
-    duty = 20.0 * np.sin(3.0 * time) + 40.0 * ((time > 6.0) & (time < 8.0)) - 40.0 * ((time > 9.0) & (time < 11.0))
+    time, count = 0.002 * np.arange(45000), 2.0 * np.pi / 16384.0
+    duty = 20.0 * np.sin(3.0 * time) + 40.0 * ((time > 16.0) & (time < 18.0)) - 40.0 * ((time > 19.0) & (time < 21.0))
     y, _ = run(structure.with_(effect), values | law, time, duty)
     made = Recording("made", time, duty, np.round(y / count) * count, "%", "rad", count)
     cases = [prepared_recording.prepare_recording(made, structure)]

@@ -29,8 +29,8 @@ def made(count: int) -> Recording:
 def test_a_long_recording_is_looked_at_in_parts_from_its_beginning_to_its_end() -> None:
     whole = preparation.prepare_recordings([made(30000)], STRUCTURE).recordings
     parts = multistart.excerpts(FitProblem(whole), STRUCTURE).recordings
-    assert len(parts) == 5 and {p.reading_variance for p in parts} == {whole[0].reading_variance}
-    assert all(p.drive.time[0] == 0.0 and p.drive.time[-1] == pytest.approx(4.0, abs=0.003) for p in parts)
+    assert len(parts) == 3 and {p.reading_variance for p in parts} == {whole[0].reading_variance}
+    assert all(p.drive.time[0] == 0.0 and p.drive.time[-1] == pytest.approx(12.0, abs=0.003) for p in parts)
     first, last, output = parts[0].recording.output, parts[-1].recording.output, whole[0].recording.output
     np.testing.assert_array_equal(first, output[: len(first)])
     np.testing.assert_array_equal(last, output[-len(last) :])
@@ -50,7 +50,7 @@ def test_no_part_lies_in_a_pause() -> None:
         parts = multistart.excerpts(
             FitProblem(preparation.prepare_recordings([shown], STRUCTURE).recordings), STRUCTURE
         ).recordings
-        assert len(parts) == 5 and all(np.isfinite(p.drive.measured).sum() > least for p in parts)
+        assert len(parts) == 3 and all(np.isfinite(p.drive.measured).sum() > least for p in parts)
 
 
 @pytest.mark.parametrize("gap", [0.018, 0.1])
@@ -69,7 +69,7 @@ def test_a_memory_that_grows_leads_from_another_gap_and_other_teeth_to_the_truth
 
 
 def test_the_way_is_found_in_parts_and_ends_with_all_of_a_recording(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(multistart, "_LONG_EXCERPT_LENGTH", 1.5)
+    monkeypatch.setattr(multistart, "_EXCERPT_LENGTH", 1.5)
     cases, begun = multistart.coarse_starts([made(10000)], STRUCTURE, {})
     ways = []
     monkeypatch.setattr(
@@ -78,7 +78,7 @@ def test_the_way_is_found_in_parts_and_ends_with_all_of_a_recording(monkeypatch:
         lambda seen, *more, way=multistart._fit_by_lengthening_memory: ways.append(seen) or way(seen, *more),
     )
     point = multistart.fit_from_starts(cases, STRUCTURE, begun)
-    assert all(len(seen.recordings) == 5 and seen.recordings[0].drive.time[-1] < 1.6 for seen in ways)
+    assert all(len(seen.recordings) == 3 and seen.recordings[0].drive.time[-1] < 1.6 for seen in ways)
     assert point.values["input_gain"] == pytest.approx(VALUES["input_gain"], rel=1e-3)
     assert point.values["backlash_gap"] == pytest.approx(VALUES["backlash_gap"], rel=0.02)
 

@@ -116,8 +116,9 @@ def fit_over(problem: FitProblem, start: Fit, horizon: float) -> HorizonFit:
 
 
 def _without_gap(fit: Fit) -> Fit:
-    """The fit with a gap of zero, which is held with all that a gap alone shows."""
-    values = {**fit.values, "backlash_gap": 0.0}
+    """The fit with a gap of zero, which is held with all that a gap alone shows, at its usual values."""
+    usual = {p.name: p.start for p in fit.structure.parameters if p.name in _GAP_PARAMETERS}
+    values = {**fit.values, **usual, "backlash_gap": 0.0}
     free = tuple(n for n in fit.free if n not in (*_GAP_PARAMETERS, "tooth_frequency", "tooth_damping"))
     return replace(fit, structure=fit.structure.without("tooth_compliance"), values=values, free=free)
 

@@ -46,13 +46,13 @@ _COARSE_GRID = {
     "friction_share": (0.4, 0.8),
 }
 _TOOTH_GRID = {"tooth_frequency": (60.0, 90.0, 130.0, 190.0), "tooth_damping": (0.12, 0.2, 0.35, 0.5)}
-#: Differential evolution where nothing else leads to gap, shares and teeth: its bounds, the filter's memory, s, the
-#: population and the generations. Least ratio between the best that are fitted further, and their number.
+#: Differential evolution where nothing else leads to gap, shares and teeth: its bounds, the population and the
+#: generations. Least ratio between the best that are fitted further, and their number.
 _EVOLUTION_RANGES = {
     "backlash_gap": (0.003, 0.15), "motor_share": (0.08, 0.7), "friction_share": (0.2, 1.0),
     "tooth_frequency": (50.0, 250.0), "tooth_damping": (0.08, 0.7),
 }  # fmt: skip
-_EVOLUTION_MEMORY, _POPULATION, _GENERATIONS, _MIN_RATIO_APART, _MAX_STARTS = 0.01, 32, 9, 1.1, 3
+_POPULATION, _GENERATIONS, _MIN_RATIO_APART, _MAX_STARTS = 32, 9, 1.1, 3
 #: What is looked for from afar: no slope leads to it.
 MULTIMODAL = tuple(_EVOLUTION_RANGES)
 #: A unit of deviance is worth so little where the motor rattles, or physics is missing.
@@ -60,9 +60,9 @@ _ROUGH_OVERDISPERSION = 1.3
 #: The shortest memory of the filter from which on it is lengthened, s, and most lengthenings. Up to the last time, s,
 #: it is lengthened in any case: teeth ring that long, and with a shorter memory any tooth may do well.
 _SHORTEST_MEMORY, _MAX_LENGTHENINGS, _RINGING_TIME = 0.007, 12, 0.05
-#: Coarse values are looked for in this number of parts of a recording, each of this length, s. The fits after that use
-#: longer parts. More parts would find no other local optima, and take longer.
-_EXCERPTS, _EXCERPT_LENGTH, _LONG_EXCERPT_LENGTH = 5, 4.0, 12.0
+#: Values are looked for in this number of parts of a recording, each of this length, s. Where in its gap the motor is
+#: at the start of a part is not known, so many short parts lead astray where it seldom crosses.
+_EXCERPTS, _EXCERPT_LENGTH = 3, 12.0
 #: Where in the gap a motor may start, and how many s of a recording at least, after motor and link have met, show it.
 _CONTACT_GRID, _CONTACT_DURATION, _CONTACT_MARGIN = tuple(np.linspace(-1.0, 1.0, 9).tolist()), 3.0, 1.0
 #: s, of the filter that a fit is begun anew with: it follows the model, and readings hardly lead it.
@@ -115,24 +115,24 @@ def coarse_fit(
     return best
 
 
-def excerpts(problem: FitProblem, structure: Structure, lasting: float = _EXCERPT_LENGTH) -> FitProblem:
-    """Parts of the recordings of this length (s), spread evenly. A short recording is one part. So is any whose physics
-    depends on the time since its start."""
+def excerpts(problem: FitProblem, structure: Structure) -> FitProblem:
+    """Parts of the recordings, spread evenly. A short one is one part. So is one whose physics depends on the time
+    since its start."""
     if equations.timed(structure):
         return problem
     parts = []
     for case in problem.stepped(structure):
-        end = float(case.recording.time[-1])
-        if end <= _EXCERPTS * lasting:
+        end, length = float(case.recording.time[-1]), _EXCERPT_LENGTH + 0.5 * case.step
+        if end <= _EXCERPTS * _EXCERPT_LENGTH:
             parts.append(case)
             continue
         # Each begins with a reading and holds at least half as many as any: some would lie in a long silence.
         read = case.drive.time[np.isfinite(case.drive.measured)]
-        held = np.searchsorted(read, read + lasting, "right") - np.arange(len(read))
+        held = np.searchsorted(read, read + length, "right") - np.arange(len(read))
         full = read[2 * held >= held.max()]
-        full = full[full <= max(end - lasting, full[0])]
+        full = full[full <= max(end - length + case.step, full[0])]
         begins = full[np.linspace(0, len(full) - 1, _EXCERPTS).astype(int)].tolist()
-        parts += [preparation.excerpt(case, structure, begin, begin + lasting) for begin in begins]
+        parts += [preparation.excerpt(case, structure, begin, begin + length) for begin in begins]
     return problem.on(parts)
 
 
@@ -205,10 +205,11 @@ def _fit_by_lengthening_memory(
 
 def _evolved_starts(problem: FitProblem, point: Fit) -> list[dict[str, float]]:
     """Values with likely gaps, shares and teeth, far from each other, by differential evolution (Storn and Price, J.
-    Global Optimization 11, 1997) at a short memory.
+    Global Optimization 11, 1997).
 
     Where a motor rattles, the slopes lead to local optima nearby. The deviance still tells what is near the truth from
-    what is not. So many values are tried, and the better ones are combined with each other.
+    what is not, if the filter remembers for as long as teeth ring. So many values are tried, and the better ones are
+    combined with each other.
     """
     ranges = _in_axis_units(_EVOLUTION_RANGES, problem.recordings)
     names = [n for n in ranges if n in point.free]
@@ -216,7 +217,7 @@ def _evolved_starts(problem: FitProblem, point: Fit) -> list[dict[str, float]]:
         return []
     seen = excerpts(problem, point.structure)
     first, largest = seen.recordings[0], filter_memory.largest_process_noise(seen.recordings)
-    memory = max(_EVOLUTION_MEMORY, filter_memory.memory_of(first, largest))
+    memory = max(_RINGING_TIME, filter_memory.memory_of(first, largest))
     seen = seen.at(filter_memory.process_noise_of(first, memory))
 
     def valued(x: NDArray[np.float64]) -> dict[str, float]:
@@ -258,7 +259,7 @@ def best_tooth_start(problem: FitProblem, structure: Structure, values: Mapping[
 
 def fit_from_starts(problem: FitProblem, structure: Structure, begun: Sequence[Fit]) -> Fit:
     """The maximum of the full likelihood from coarse points, teeth included where the structure has them."""
-    seen, free = excerpts(problem, structure, _LONG_EXCERPT_LENGTH), problem.free(structure)
+    seen, free = excerpts(problem, structure), problem.free(structure)
 
     def likeliest(starts: Iterable[dict[str, float]]) -> Fit:
         return min(
