@@ -41,7 +41,7 @@ class Pair:
 def _best_free_run(
     problem: FitProblem, fit: Fit, train: Sequence[Recording], others: Sequence[Mapping[str, float]] = ()
 ) -> Judged:
-    best = horizon.best_with_known_gap(horizon.free_run_fits(problem, fit, others))
+    best = horizon.free_run_fits(problem, fit, others)[0]
     return Judged(horizon.as_judged(problem, best), horizon.to_model(problem, best, train))
 
 

@@ -89,6 +89,11 @@ def _windows(problem: FitProblem, span: float) -> FitProblem:
     return problem.on([likelihood.with_free_runs(c, problem.process_noise, span) for c in judged])
 
 
+def _rank(fit: Fit) -> tuple[bool, float]:
+    """The less the better: of fits whose gap and motor's share are estimates the likeliest, then of the others."""
+    return is_gap_at_bound(fit), fit.deviance
+
+
 def fit_over(problem: FitProblem, start: Fit, horizon: float) -> HorizonFit:
     """The values that predict best up to a horizon, found from those of a fit: the best of all that were passed.
 
@@ -110,9 +115,9 @@ def fit_over(problem: FitProblem, start: Fit, horizon: float) -> HorizonFit:
         values = optimizer.levenberg_marquardt(shorter, start.structure, values, start.free, rounds=_ROUNDS).values
         passed.append(likelihood.evaluate(goal, start.structure, values, start.free))
         span *= _LENGTHENING
-    best = min(passed, key=lambda p: p.deviance)
+    best = min(passed, key=_rank)
     ends = [optimizer.levenberg_marquardt(goal, start.structure, begin, start.free) for begin in (values, best.values)]
-    return HorizonFit(goal, min([best, *ends], key=lambda p: p.deviance), horizon)
+    return HorizonFit(goal, min([best, *ends], key=_rank), horizon)
 
 
 def _without_gap(fit: Fit) -> Fit:
@@ -149,7 +154,7 @@ def follows_readings(problem: FitProblem, likeliest: Fit) -> bool:
 
 
 def free_run_fits(problem: FitProblem, likeliest: Fit, others: Sequence[Mapping[str, float]] = ()) -> list[HorizonFit]:
-    """Fits over the whole recordings, the best first.
+    """Fits over the whole recordings, the best first; last those whose gap or motor's share is no estimate.
 
     Parameters
     ----------
@@ -163,12 +168,7 @@ def free_run_fits(problem: FitProblem, likeliest: Fit, others: Sequence[Mapping[
     problem, horizon = problem.at(likeliest.process_noise), longest_of(problem)
     starts = [likeliest, *([_without_gap(likeliest)] if "backlash_gap" in likeliest.free else [])]
     starts += [replace(likeliest, values={**likeliest.values, **values}) for values in others]
-    return sorted(each(lambda start: fit_over(problem, start, horizon), starts), key=lambda end: end.fit.deviance)
-
-
-def best_with_known_gap(fits: Sequence[HorizonFit]) -> HorizonFit:
-    """The best whose gap and motor's share are estimates; the best of all where there is none."""
-    return next((end for end in fits if not is_gap_at_bound(end.fit)), fits[0])
+    return sorted(each(lambda start: fit_over(problem, start, horizon), starts), key=lambda end: _rank(end.fit))
 
 
 def as_judged(problem: FitProblem, found: HorizonFit) -> Fit:
@@ -200,7 +200,7 @@ def in_place_of_likeliest(
 
     `others` are values from which other searches begin.
     """
-    best = best_with_known_gap(free_run_fits(problem, likeliest, others))
+    best = free_run_fits(problem, likeliest, others)[0]
     found = to_model(problem, best, recordings)
     why = _LACKS if lacks_physics(problem, likeliest) else FOLLOWS
     return replace(found, provenance={**found.provenance, LACKING: why})

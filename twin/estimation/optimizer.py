@@ -25,6 +25,8 @@ OVERDISPERSION_OF_WRONG_MODEL = 5.0
 MAX_OVERDISPERSION = 10.0
 #: So many steps in a row that bring nothing, each much shorter than the one before, end a climb.
 MAX_REFUSED_STEPS = 4
+#: Share of a bound within which a value is at it.
+_AT_BOUND = 1e-6
 #: Sizes of what goes with the sine of an angle, and the angle's parameter. None of these laws differs between a size
 #: below zero and the same above it, half a turn on.
 _ANGLE_OF = {
@@ -81,6 +83,9 @@ def _damped_step(point: Fit, damping: float) -> dict[str, float]:
         step[worst] = least[worst] if step[worst] < least[worst] else most[worst]
         inside[worst] = False
     moved = np.clip(here + step, low, high)
+    for bound in (low, high):
+        # What is nearer than this is at its bound, and is called so: a climb gets ever closer without reaching it.
+        moved = np.where(np.isclose(moved, bound, rtol=_AT_BOUND, atol=0.0), bound, moved)
     return _with_resisting_friction({**point.values, **dict(zip(point.free, moved.tolist(), strict=True))}, point.free)
 
 
