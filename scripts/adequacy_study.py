@@ -76,9 +76,9 @@ def judge(recording: Recording, structure: Structure, values: dict[str, float]) 
     free = free_parameters(structure)
     fitted = optimizer.fit_with_process_noise(problem, structure, values, free)
     point = adequacy.at_own_noise(problem, fitted)
-    seen = adequacy.together(adequacy.free_runs([RecordingPart(r) for r in train], problem, point, True), True)
+    seen = adequacy.together(adequacy.free_runs([RecordingPart(r) for r in train], problem, point), True)
     tests, parts = data_split.led(held_out, structure, LEAD)
-    unseen = adequacy.free_runs(parts, preparation.prepare_recordings(tests, structure), point, False)
+    unseen = adequacy.free_runs(parts, preparation.prepare_recordings(tests, structure), point)
     return seen, adequacy.together(unseen, False), point
 
 

@@ -87,11 +87,11 @@ def _one_recording(problem: FitProblem, fit: Fit, lesser: dict[str, Fit]) -> Ite
 def _no_help_ahead(problem: FitProblem, fit: Fit, lesser: dict[str, Fit]) -> Iterator[NotBorneOut]:
     """The names with worse predictions on left-out blocks, one second ahead or in the free run."""
     for name, without in lesser.items():
-        for ahead, ratio in block_validation.error_ratios(problem, without, fit):
-            if ratio > thresholds.MAX_ERROR_RATIO:
-                span = f"{ahead:g} s ahead" if math.isfinite(ahead) else "in the free run"
-                reason = f"{span} the error on blocks that were left out is {ratio:.2f} times that without it"
-                yield NotBorneOut(name, reason, ratio)
+        for ahead in block_validation.errors_ahead(problem, without, fit):
+            if ahead.is_worse:
+                span = f"{ahead.horizon:g} s ahead" if math.isfinite(ahead.horizon) else "in the free run"
+                reason = f"{span} the error on blocks that were left out is {ahead.ratio:.2f} times that without it"
+                yield NotBorneOut(name, reason, ahead.ratio)
 
 
 def _predicts_clearly(problem: FitProblem, fit: Fit, without: Fit | None) -> bool:
@@ -102,8 +102,8 @@ def _predicts_clearly(problem: FitProblem, fit: Fit, without: Fit | None) -> boo
     """
     if without is None:
         return False
-    ratios = [ratio for _, ratio in block_validation.error_ratios(problem, without, fit)]
-    return bool(ratios) and max(ratios) < thresholds.CLEAR_ERROR_RATIO
+    ahead = block_validation.errors_ahead(problem, without, fit)
+    return max(one.ratio for one in ahead) < thresholds.CLEAR_ERROR_RATIO
 
 
 def not_borne_out(problem: FitProblem, fit: Fit, first: Structure, lesser: dict[str, Fit]) -> NotBorneOut | None:

@@ -163,7 +163,7 @@ def at_own_noise(problem: FitProblem, point: Fit) -> Fit:
     return likelihood.evaluate(problem.at(process_noise), point.structure, point.values, point.free)
 
 
-def free_runs(parts: Sequence[RecordingPart], problem: FitProblem, point: Fit, was_fitted: bool) -> list[Error]:
+def free_runs(parts: Sequence[RecordingPart], problem: FitProblem, point: Fit) -> list[Error]:
     """The errors of the free runs through these parts, one part for each recording of the problem. The points of the
     grid are shared out by length.
     """
@@ -173,6 +173,18 @@ def free_runs(parts: Sequence[RecordingPart], problem: FitProblem, point: Fit, w
         error(c, p, point, min(max(POINTS * len(c.drive.time) // whole, FEWEST), len(c.drive.time) - 1))
         for c, p in zip(mine, parts, strict=True)
     ]
+
+
+def led_problem(
+    problem: FitProblem, parts: Sequence[RecordingPart], point: Fit
+) -> tuple[list[RecordingPart], FitProblem]:
+    """Parts of recordings, each within what a free run of the model goes through to come there, and these runs as a
+    problem. One sensor read them and the problem that is given.
+    """
+    runs, inside = data_split.led(parts, point.structure, data_split.lead_of(point.values))
+    variance = problem.recordings[0].reading_variance
+    prepared = preparation.prepare_recordings(runs, point.structure)
+    return inside, prepared.on([replace(r, reading_variance=variance) for r in prepared.recordings])
 
 
 # ---- the torque that the model lacks ----
@@ -273,7 +285,7 @@ def compare(
     parts: Sequence[RecordingPart], problem: FitProblem, points: tuple[Fit, Fit], was_fitted: bool
 ) -> tuple[Comparison, list[tuple[str, Comparison]]]:
     """Both models through these parts, as a whole and by recording."""
-    errors = [free_runs(parts, problem, point, was_fitted) for point in points]
+    errors = [free_runs(parts, problem, point) for point in points]
     outputs = [p.recording.output[p.inside & np.isfinite(p.recording.output)] for p in parts]
     span = float(np.ptp(np.concatenate(outputs))) if any(map(len, outputs)) else math.nan
     whole = Comparison(together(errors[0], was_fitted), together(errors[1], was_fitted), span)
@@ -298,11 +310,7 @@ def measure(
     rows += [("train", *row) for row in own]
     tested = [p for p in held_out if p.is_read]
     if tested:
-        tests, parts = data_split.led(tested, after.structure, data_split.lead_of(after.values))
-        # One sensor read them all.
-        variance = problem.recordings[0].reading_variance
-        prepared = preparation.prepare_recordings(tests, after.structure)
-        same = prepared.on([replace(r, reading_variance=variance) for r in prepared.recordings])
+        parts, same = led_problem(problem, tested, after)
         runs["holdout"], own = compare(parts, same, points, False)
         rows += [("holdout", *row) for row in own]
     later = (

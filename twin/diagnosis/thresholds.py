@@ -112,13 +112,11 @@ MIN_BLOCKS = 10
 MIN_SIZE_IN_ERRORS = 3.0
 #: Recordings from which on more than one of them must be predicted better with a name.
 MIN_RECORDINGS = 3
-
-#: Ratio of the errors on left-out blocks with and without a name, from which on the name is refuted. Where noise makes
-#: most of both errors they differ by a few percent.
-MAX_ERROR_RATIO = 1.05
-#: The same ratio, below which a size is accepted whatever its standard error. No false effect halves the error where it
-#: was not fitted. A clipped drive that came to 0.04 and 0.02 had a limit of 57 with an error of 880, from slopes at
-#: teeth that ring undamped (scripts/blind_trial.py, circuit, 91002:0).
+#: A name is refuted where the squares of its errors on left-out blocks are larger by so many of their standard errors.
+WORSE_IN_ERRORS = 2.0
+#: Ratio of the errors on left-out blocks with and without a name, below which a size is accepted whatever its standard
+#: error. No false effect halves the error where it was not fitted. A clipped drive that came to 0.04 and 0.02 had a
+#: limit of 57 with an error of 880, from slopes at teeth that ring undamped (scripts/blind_trial.py, circuit, 91002:0).
 CLEAR_ERROR_RATIO = 0.5
 
 # ---- what is left in the missing torque (nonparametric) ----
