@@ -33,8 +33,11 @@ from twin.diagnosis import (
     curve_substitution,
     forward_selection,
     free_curves,
+    gap_presence,
     name_tests,
+    search_result,
     selection_round,
+    short_memory,
     thresholds,
     torque_regression,
     verdict,
@@ -53,7 +56,7 @@ NEAR = (
 
 def _same(*given: Any) -> Any:
     """What a rule that changes nothing returns: the round or the search that it was given."""
-    return next(g for g in given if isinstance(g, (selection_round.Round, forward_selection.SearchResult)))
+    return next(g for g in given if isinstance(g, (selection_round.Round, search_result.SearchResult)))
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,7 @@ RULES = {
     "hidden_pairs": Rule("win with a second effect beside", thresholds, "MAX_HIDDEN", 0),
     "exchanged_places": Rule("rivals exchange their optima", thresholds, "MAX_EXCHANGED", 0),
     "long_memory": Rule("repeat a lost round with a long memory", selection_round, "retry_with_long_memory", _same),
-    "short_memory": Rule("look closer with a short memory", forward_selection, "refine_with_short_memory", _same),
+    "short_memory": Rule("look closer with a short memory", short_memory, "refine_with_short_memory", _same),
     "followers": Rule("start from the missing torque", thresholds, "MAX_FOLLOWERS", 0),
     "free_motion": Rule("start beside free motion", torque_regression, "fit_to_free_motion", _constantly(None)),
     "roughness": Rule("ask more where the likelihood is rough", maximum_likelihood, "roughness", _constantly(0.0)),
@@ -91,7 +94,7 @@ RULES = {
         "confirm with short memories", selection_round, "_confirmed_by_short_memories", _constantly(True)
     ),
     "law_tolerance": Rule("allow for what laws miss", thresholds, "LAW_TOLERANCE", 0.0),
-    "idle_gap": Rule("leave a gap out that does not show", forward_selection, "_without_idle_gap", _constantly(None)),
+    "idle_gap": Rule("leave a gap out that does not show", gap_presence, "without_idle_gap", _constantly(None)),
     "idle_names": Rule("drop names that do nothing", name_tests, "_idle_names", _constantly([])),
     "acceptance": Rule("test size and blocks of a name", acceptance, "not_borne_out", _constantly(None)),
     "name_chance": Rule("drop names that predict by chance", thresholds, "NAME_MAX_P_VALUE", 1.0),

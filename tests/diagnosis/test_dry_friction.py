@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from axis_runs import run
 
-from twin.diagnosis import forward_selection, probabilities
+from twin.diagnosis import forward_selection, probabilities, search_result
 from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
@@ -27,7 +27,7 @@ def made(structure: Structure, unit: str, coasts: bool, **values: float) -> Reco
     return Recording("made", time, volts, COUNT * np.round(read / COUNT), unit, "rad", COUNT)
 
 
-def searched(recording: Recording) -> forward_selection.SearchResult:
+def searched(recording: Recording) -> search_result.SearchResult:
     return forward_selection.search([recording], FIRST, {}, ("coulomb_friction",))
 
 

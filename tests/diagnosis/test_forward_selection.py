@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 from axis_runs import run, steps
 
-from twin.diagnosis import forward_selection, model_comparison, screening, selection_round, thresholds
+from twin.diagnosis import (
+    alternatives,
+    forward_selection,
+    growth,
+    model_comparison,
+    round_margin,
+    screening,
+    search_result,
+    selection_round,
+    thresholds,
+)
 from twin.diagnosis.plausibility import is_plausible
 from twin.effects.catalogue import BASE, CANDIDATES
 from twin.estimation import (
@@ -213,7 +223,7 @@ def test_a_stop_that_nothing_met_is_nowhere(lower: float) -> None:
     last = local_optima.refit(
         FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], 0.1)), stopped, begun
     )
-    found = forward_selection._without_unmet_stops(FitProblem(cases), last)
+    found = growth.without_unmet_stops(FitProblem(cases), last)
     assert y.max() > 0.3 and (lower == -1e3 or y.min() < lower)
     assert found.values["stop_upper"] == pytest.approx(0.3, abs=2e-3)
     assert found.values["stop_lower"] == pytest.approx(lower, abs=2e-3)
@@ -278,14 +288,14 @@ def test_a_model_learns_nothing_from_one_that_is_no_longer_what_its_names_say() 
         selection_round._better_plausible(FitProblem(cases), bent, [at(-4.0, -950.0)]) is not bent
     )  # it was none before, either
     less = replace(bent, structure=Structure.of(BASE), values={}, deviance=1e6)
-    assert forward_selection._best_smaller(FitProblem(cases), here, [bent, less], less) is here
+    assert growth.best_smaller(FitProblem(cases), here, [bent, less], less) is here
 
 
 def test_what_the_first_model_has_stays_where_what_contains_it_goes() -> None:
     first = Structure.of([*BASE, "coulomb_friction"])
-    smaller = forward_selection._smaller_structures(first.with_("stribeck_friction"), first)
+    smaller = growth.smaller_structures(first.with_("stribeck_friction"), first)
     assert [s.ids for s in smaller] == [first.ids]
-    alone = forward_selection._smaller_structures(first.with_("stribeck_friction"), Structure.of(BASE))
+    alone = growth.smaller_structures(first.with_("stribeck_friction"), Structure.of(BASE))
     assert {s.named for s in alone} == {("coulomb_friction",), ()}
 
 
@@ -305,7 +315,7 @@ def test_what_a_law_misses_of_its_own_effect_is_no_other_effect(removed: float, 
         # A law that errs by a twentieth, and an effect that makes up for so many times of its error.
         left = times * (removed * thresholds.LAW_TOLERANCE**2 + thresholds.MIN_GAIN / count)
         less, more = of_innovations(count, 1.0 + left), of_innovations(count, 1.0)
-        kept = forward_selection._best_smaller(FitProblem([]), more, [less, begun], begun)
+        kept = growth.best_smaller(FitProblem([]), more, [less, begun], begun)
         assert kept is (more if is_other else less)
 
 
@@ -372,7 +382,7 @@ def test_dry_friction_may_be_one_sided_where_nothing_ever_coasts(coasting: bool)
         FitProblem(cases, process_noise=filter_memory.process_noise_of(cases[0], 0.05)), plain, values
     )
     first = plain.without("coulomb_friction")
-    wider = forward_selection._containing_alternatives(FitProblem(cases), last, first, CANDIDATES)
+    wider = alternatives.containing(FitProblem(cases), last, first, CANDIDATES)
     rivals = {w.rival: w for w in wider}
     assert ("friction_asymmetry" in rivals) is not coasting
     if not coasting:
@@ -380,10 +390,10 @@ def test_dry_friction_may_be_one_sided_where_nothing_ever_coasts(coasting: bool)
         assert abs(found.point.values["friction_asymmetry"]) == last.values["coulomb_friction"]
         assert model_comparison.criterion_difference(last, found.point) < 1.0
         # What is as good with a parameter more is not named for that.
-        assert forward_selection._prefer_containing(FitProblem(cases), last, [], wider) == (last, wider)
+        assert alternatives.prefer_containing(FitProblem(cases), last, [], wider) == (last, wider)
         # Neither what was not asked for nor what the first model knows comes into question.
-        assert forward_selection._containing_alternatives(FitProblem(cases), last, first, ("spring",)) == []
-        assert forward_selection._containing_alternatives(FitProblem(cases), last, plain, CANDIDATES) == []
+        assert alternatives.containing(FitProblem(cases), last, first, ("spring",)) == []
+        assert alternatives.containing(FitProblem(cases), last, plain, CANDIDATES) == []
 
 
 @pytest.mark.parametrize("asymmetry", [0.0, 0.1])
@@ -413,24 +423,17 @@ def test_what_did_more_than_the_effect_that_it_contains_is_tried_at_its_own_size
         selection_round.Hypothesis(("coulomb_friction",), without),
     ]
     rounds = [selection_round.Round(first, tuple(rivals), 1.0)]
-    assert bool(forward_selection._overtaking_fits(rounds, "coulomb_friction", "friction_asymmetry")) == bool(asymmetry)
-    assert forward_selection._overtaking_fits(rounds, "coulomb_friction", "stribeck_friction") == []
-    wider = forward_selection._containing_alternatives(
-        FitProblem(cases), without, first.structure, ["friction_asymmetry"], rounds
-    )
+    assert bool(alternatives.overtaking_fits(rounds, "coulomb_friction", "friction_asymmetry")) == bool(asymmetry)
+    assert alternatives.overtaking_fits(rounds, "coulomb_friction", "stribeck_friction") == []
+    wider = alternatives.containing(FitProblem(cases), without, first.structure, ["friction_asymmetry"], rounds)
     pairs = (("coulomb_friction", "load_dependent_friction"), ("gravity", "spring"))
-    swaps = [forward_selection.Alternative(*pair, without) for pair in pairs]
-    best, kept = forward_selection._prefer_containing(FitProblem(cases), without, swaps, wider)
+    swaps = [search_result.Alternative(*pair, without) for pair in pairs]
+    best, kept = alternatives.prefer_containing(FitProblem(cases), without, swaps, wider)
     if asymmetry:
         assert best.values["friction_asymmetry"] == pytest.approx(asymmetry, rel=0.05)
         # What could stand for the plain effect goes with it.
         assert [(w.effect, w.rival) for w in kept] == [pairs[1], ("friction_asymmetry", "coulomb_friction")]
-        assert (
-            forward_selection._containing_alternatives(
-                FitProblem(cases), without, first.structure, ["friction_asymmetry"]
-            )
-            == []
-        )
+        assert alternatives.containing(FitProblem(cases), without, first.structure, ["friction_asymmetry"]) == []
     else:
         assert best is without
 
@@ -481,7 +484,7 @@ def test_what_the_search_begins_anew_with_shows_by_itself_and_had_not_been_refus
     joint, delay = hypothesis(-6000.0, "joint_elasticity", unit=100.0), hypothesis(-3000.0, "input_delay", unit=unit)
     slow = hypothesis(-2500.0, "gravity", unit=unit)
     this = selection_round.Round(first, (joint, delay, slow), 100.0)
-    found = forward_selection.SearchResult(first, joint.point, (this,), FitProblem(()))
+    found = search_result.SearchResult(first, joint.point, (this,), FitProblem(()))
     shown = {"input_delay", "gravity"}
     monkeypatch.setattr(
         selection_round, "is_confirmed", lambda cases, before, after: bool({*after.structure.named} & shown)
@@ -504,14 +507,14 @@ def test_what_the_search_begins_anew_with_shows_by_itself_and_had_not_been_refus
     assert begun(this) == ["gravity"]
     # Who had won the round is a rival of what the search begins anew with.
     (anew,) = forward_selection._narrow_rounds(FitProblem(()), replace(found, rounds=(this,)), 1.0)
-    contest = forward_selection.round_margin([anew], slow.point.structure, "gravity")
+    contest = round_margin.margin_of([anew], slow.point.structure, "gravity")
     assert [h.added[0] for h, _ in contest.rivals] == ["joint_elasticity", "input_delay"]
 
 
 @pytest.mark.parametrize("deviance", [-9000.0, -5000.0])
 def test_the_end_that_lost_by_one_effect_could_stand_in_its_place(deviance: float) -> None:
     one, other = fitted(-6000.0, "gravity", "spring"), fitted(deviance, "gravity", "load_change")
-    searches = [forward_selection.SearchResult(fitted(0.0), end, (), FitProblem(())) for end in (one, other)]
+    searches = [search_result.SearchResult(fitted(0.0), end, (), FitProblem(())) for end in (one, other)]
     found = forward_selection._better_search(FitProblem(()), *searches)
     best, lost, effect, rival = (one, other, "spring", "load_change")
     if deviance < -6000.0:
@@ -521,7 +524,7 @@ def test_the_end_that_lost_by_one_effect_could_stand_in_its_place(deviance: floa
         0
     ].point is lost
     # What is told already is not told twice, and ends that differ by more stand for no single effect.
-    again = [replace(s, alternatives=(forward_selection.Alternative(effect, rival, lost),)) for s in searches]
+    again = [replace(s, alternatives=(search_result.Alternative(effect, rival, lost),)) for s in searches]
     assert len(forward_selection._better_search(FitProblem(()), *again).alternatives) == 1
     longer = replace(searches[1], last=fitted(0.0, "gravity", "load_change", "motor_lag"))
     assert forward_selection._better_search(FitProblem(()), searches[0], longer) is searches[0]

@@ -27,9 +27,9 @@ from twin.diagnosis import (
     thresholds,
 )
 from twin.diagnosis.adequacy import Adequacy
-from twin.diagnosis.forward_selection import Alternative, SearchResult
 from twin.diagnosis.nonparametric import CurveTerm
 from twin.diagnosis.plausibility import is_plausible
+from twin.diagnosis.search_result import Alternative, SearchResult
 from twin.effects.catalogue import CANDIDATES, UNKNOWN
 from twin.effects.knots import KNOTS, held, line, names, spots, through
 from twin.estimation import (

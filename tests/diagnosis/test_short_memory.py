@@ -14,8 +14,8 @@ import circuit_rig
 from blind_trial import KINDS, draw
 from concealed import Concealed
 
-from twin.diagnosis import forward_selection, selection_round
-from twin.diagnosis.forward_selection import SearchResult
+from twin.diagnosis import selection_round, short_memory
+from twin.diagnosis.search_result import SearchResult
 from twin.effects.catalogue import BASE
 from twin.estimation import contact_masking, local_optima, multistart, preparation
 from twin.io.recording import Recording
@@ -44,7 +44,7 @@ def test_a_faint_torque_is_seen_where_a_motor_rattles(there: bool) -> None:
     lost = selection_round.run_round(problem, before, (), candidates)
     assert not lost.won
     as_it_was = SearchResult(lost.before, lost.before, (lost,), problem)
-    found = forward_selection.refine_with_short_memory(as_it_was, candidates)
+    found = short_memory.refine_with_short_memory(as_it_was, candidates)
     if there:
         assert found.last.structure.named == ("constant_offset",)
         assert found.last.values["offset"] == pytest.approx(planted.parameters["offset_link"], rel=0.2)

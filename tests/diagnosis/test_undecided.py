@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from twin.diagnosis import thresholds
+from twin.diagnosis import alternatives, dead_band_rivals, growth, round_margin, thresholds
 
 pytest.importorskip("mujoco", reason="the recordings' generator needs the extra 'mujoco'")
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
@@ -21,9 +21,9 @@ from concealed import Concealed
 from example_diagnosis import RIG, example
 from mujoco_rig import TURN, draw_rig, simulate
 
-from twin.diagnosis import diagnose, forward_selection, model_comparison, probabilities, result
-from twin.diagnosis.forward_selection import Alternative, SearchResult
+from twin.diagnosis import diagnose, model_comparison, probabilities, result
 from twin.diagnosis.result import Diagnosis, Fitness
+from twin.diagnosis.search_result import Alternative, SearchResult
 from twin.diagnosis.selection_round import Hypothesis, Round
 from twin.diagnosis.thresholds import UNDECIDED_MARGIN
 from twin.estimation import filter_memory, optimizer, prepared_recording
@@ -187,7 +187,7 @@ def test_an_effect_that_came_along_with_another_stands_for_itself():
     tried = {"position_dependent_friction": 1000.0, "load_dependent_friction": 1020.0, "coulomb_friction": 1030.0}
     before, rivals = point(3000.0), tuple(Hypothesis((e,), point(c, e)) for e, c in tried.items())
     last = Structure.of([*BASE, "coulomb_friction"])
-    contest = forward_selection.round_margin([Round(before, rivals, 1.0)], last, "coulomb_friction")
+    contest = round_margin.margin_of([Round(before, rivals, 1.0)], last, "coulomb_friction")
     assert contest.gain == 1970.0
     assert [(h.added, behind) for h, behind in contest.rivals] == [(("load_dependent_friction",), -10.0)]
 
@@ -196,7 +196,7 @@ def test_what_looked_better_than_the_winner_and_did_not_show_is_no_rival():
     tried = {"spring": 1000.0, "load_change": 900.0, "gravity": 1010.0}
     before, rivals = point(3000.0), tuple(Hypothesis((e,), point(c, e)) for e, c in tried.items())
     this = Round(before, rivals, 1.0, refused=frozenset({"load_change"}))
-    contest = forward_selection.round_margin([this], Structure.of([*BASE, "spring"]), "spring")
+    contest = round_margin.margin_of([this], Structure.of([*BASE, "spring"]), "spring")
     assert [h.added for h, _ in contest.rivals] == [("gravity",)]
 
 
@@ -206,7 +206,7 @@ def test_a_round_that_nothing_won_says_nothing_of_what_later_took_a_place():
     later = (("gravity", 990.0), ("motor_lag", 999.0))
     others = tuple(Hypothesis((e,), point(c, "joint_elasticity", e)) for e, c in later)
     rounds = [Round(point(3000.0), first, 1.0), Round(joint, others, 1.0, won=False)]
-    contest = forward_selection.round_margin(rounds, Structure.of([*BASE, "motor_lag"]), "motor_lag")
+    contest = round_margin.margin_of(rounds, Structure.of([*BASE, "motor_lag"]), "motor_lag")
     assert [(h.added, behind) for h, behind in contest.rivals] == [(("input_delay",), -4.0)]
 
 
@@ -253,7 +253,7 @@ def test_while_an_axis_is_pushed_dead_bands_that_differ_may_be_a_constant_torque
     ]
     process_noise = filter_memory.process_noise_of(cases[0], 0.2)
     last = optimizer.levenberg_marquardt(FitProblem(cases, process_noise=process_noise), plain, values, tuple(values))
-    swaps = forward_selection._offset_for_dead_bands(FitProblem(cases), last, offered)
+    swaps = dead_band_rivals.offset_for_dead_bands(FitProblem(cases), last, offered)
     told = [("dead_band", "constant_offset")] if offered and not coasts else []
     assert [(w.effect, w.rival) for w in swaps] == told
     for swap in swaps:
@@ -268,7 +268,7 @@ def test_while_an_axis_is_pushed_dead_bands_that_differ_may_be_a_constant_torque
         )
     # What does not differ by more than is known needs no torque.
     even = dict.fromkeys(("dead_band_forward", "dead_band_reverse"), 5.0)
-    assert not forward_selection._offset_for_dead_bands(
+    assert not dead_band_rivals.offset_for_dead_bands(
         FitProblem(cases), replace(last, values=last.values | even), ("constant_offset",)
     )
 
@@ -278,8 +278,8 @@ def test_a_rival_in_a_lesser_valley_does_not_speak_for_what_contains_it() -> Non
     plain, wider = "coulomb_friction", "position_dependent_friction"
     winner = Hypothesis((wider,), point(1000.0, wider))
     this = Round(point(3000.0), (winner, Hypothesis((plain,), point(2500.0, plain))), 1.0)
-    assert forward_selection._overtaking_fits([this], plain, wider) == [winner.point]
-    bettered = forward_selection._with_better_fit(this, point(1010.0, plain))
+    assert alternatives.overtaking_fits([this], plain, wider) == [winner.point]
+    bettered = growth.with_better_fit(this, point(1010.0, plain))
     assert [h.deviance for h in bettered.rivals] == [1000.0, 1010.0]
-    assert forward_selection._overtaking_fits([bettered], plain, wider) == []
-    assert forward_selection._with_better_fit(this, point(2600.0, plain)).rivals == this.rivals
+    assert alternatives.overtaking_fits([bettered], plain, wider) == []
+    assert growth.with_better_fit(this, point(2600.0, plain)).rivals == this.rivals

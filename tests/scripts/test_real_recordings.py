@@ -17,8 +17,8 @@ import manifests
 import real_recordings
 
 from twin.diagnosis import diagnose, forward_selection, screening
-from twin.diagnosis.forward_selection import SearchResult
 from twin.diagnosis.plausibility import is_plausible
+from twin.diagnosis.search_result import SearchResult
 from twin.effects.catalogue import CANDIDATES
 from twin.estimation import estimate, filter_memory, likelihood, optimizer, preparation, prepared_recording
 from twin.estimation.problem import FitProblem

@@ -15,6 +15,7 @@ from twin.diagnosis import (
     coverage,
     curve_substitution,
     data_split,
+    dead_band_rivals,
     events,
     experiment_design,
     forward_selection,
@@ -33,10 +34,11 @@ from twin.diagnosis import (
 )
 from twin.diagnosis import verdict as claims
 from twin.diagnosis.data_split import Intervals, RecordingPart
-from twin.diagnosis.forward_selection import Progress, SearchResult
+from twin.diagnosis.growth import Progress
 from twin.diagnosis.localization import Regime
 from twin.diagnosis.residual_torque import MissingTorque
 from twin.diagnosis.result import Diagnosis, Estimate, Experiment, Finding, Fitness, NotBorneOut, Trace
+from twin.diagnosis.search_result import SearchResult
 from twin.display.numbers import capital, measure, number
 from twin.effects.catalogue import BASE, CANDIDATES, EFFECTS, UNKNOWN, pages
 from twin.errors import BadInput
@@ -98,9 +100,9 @@ def _findings(found: SearchResult, model: Model, first: Structure) -> tuple[Find
 
 def _unequal_dead_bands(last: Fit, unit: str) -> list[str]:
     """A sentence on dead-bands that differ by more than three standard errors; none where they are about equal."""
-    if not set(forward_selection.DEAD_BANDS) <= set(last.free) or not forward_selection.are_dead_bands_unequal(last):
+    if not set(dead_band_rivals.DEAD_BANDS) <= set(last.free) or not dead_band_rivals.are_dead_bands_unequal(last):
         return []
-    forward, reverse = (last.values[n] for n in forward_selection.DEAD_BANDS)
+    forward, reverse = (last.values[n] for n in dead_band_rivals.DEAD_BANDS)
     return [
         f"The dead-bands are unequal: {forward:.3g} {unit} forwards and {reverse:.3g} {unit} backwards, as a drive or "
         "friction that differs between the directions makes them, or a constant torque."

@@ -18,9 +18,9 @@ from twin.diagnosis import (
     selection_round,
     thresholds,
 )
-from twin.diagnosis.forward_selection import SearchResult
 from twin.diagnosis.nonparametric import TERM_KINDS, CurveTerm
 from twin.diagnosis.plausibility import is_plausible
+from twin.diagnosis.search_result import SearchResult
 from twin.effects.catalogue import EFFECTS, UNKNOWN
 from twin.estimation import local_optima, optimizer, preparation
 from twin.estimation.fit import Fit

@@ -10,8 +10,8 @@ from twin.diagnosis import (
     forward_selection,
     thresholds,
 )
-from twin.diagnosis.forward_selection import SearchResult
 from twin.diagnosis.result import NotBorneOut
+from twin.diagnosis.search_result import SearchResult
 from twin.effects.catalogue import EFFECTS
 from twin.estimation import likelihood, local_optima, multistart
 from twin.estimation.fit import Fit

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from twin.diagnosis import (
-    forward_selection,
     model_comparison,
+    round_margin,
     thresholds,
 )
-from twin.diagnosis.forward_selection import SearchResult
 from twin.diagnosis.result import Undecided
+from twin.diagnosis.search_result import SearchResult
 from twin.effects.catalogue import EFFECTS, UNKNOWN
 
 
@@ -23,7 +23,7 @@ def probabilities(found: SearchResult) -> tuple[dict[str, float], tuple[tuple[st
     for effect in dict.fromkeys((*found.last.structure.named, *(w.effect for w in found.alternatives))):
         if effect in UNKNOWN:
             continue
-        named[effect], others = forward_selection.probability_shares(found, effect)
+        named[effect], others = round_margin.probability_shares(found, effect)
         for rival, share in others.items():
             ranking[rival] = max(ranking.get(rival, 0.0), share)
     # What the first model has is not missing, whatever could stand in its place.
