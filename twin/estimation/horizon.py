@@ -91,7 +91,7 @@ def _windows(problem: FitProblem, span: float) -> FitProblem:
 
 def _rank(fit: Fit) -> tuple[bool, float]:
     """The less the better: of fits whose gap and motor's share are estimates the likeliest, then of the others."""
-    return is_gap_at_bound(fit), fit.deviance
+    return not _is_gap_known(fit), fit.deviance
 
 
 def fit_over(problem: FitProblem, start: Fit, horizon: float) -> HorizonFit:
@@ -128,14 +128,18 @@ def _without_gap(fit: Fit) -> Fit:
     return replace(fit, structure=fit.structure.without("tooth_compliance"), values=values, free=free)
 
 
-def is_gap_at_bound(fit: Fit) -> bool:
-    """Whether gap or motor's share end at a bound: such a value is no estimate. No gap at all is one."""
-    gap, share = fit.values.get("backlash_gap", 0.0), fit.values.get("motor_share")
-    if "backlash_gap" not in fit.free or gap == 0.0:
-        return False
-    return gap >= parameter_bounds.bounds_of("backlash_gap")[1] or (
-        "motor_share" in fit.free and share in parameter_bounds.bounds_of("motor_share")
+def _is_gap_known(fit: Fit) -> bool:
+    """Whether gap and motor's share, where they are free, end within their bounds: else they are no estimates."""
+    share = fit.values.get("motor_share") if "motor_share" in fit.free else None
+    within = share not in parameter_bounds.bounds_of("motor_share")
+    return "backlash_gap" not in fit.free or (
+        within and fit.values["backlash_gap"] < parameter_bounds.bounds_of("backlash_gap")[1]
     )
+
+
+def is_gap_at_bound(fit: Fit) -> bool:
+    """Whether gap or motor's share end at a bound. Where there is no gap at all, the share may be anything."""
+    return not _is_gap_known(fit) and fit.values["backlash_gap"] > 0.0
 
 
 def lacks_physics(problem: FitProblem, likeliest: Fit) -> bool:
