@@ -36,6 +36,20 @@ from twin.io.recording import Recording
 from twin.model.stepper import Structure
 
 
+def _first_fit(
+    recordings: Sequence[Recording], first: Structure, held: Mapping[str, float]
+) -> tuple[FitProblem, Fit, Fit]:
+    """The problem, the first model as a search judges it, and its likeliest values."""
+    problem, rough = multistart.coarse_starts(recordings, first, held)
+    polished, fine = multistart.leave_local_optima(
+        problem, multistart.fit_from_starts(problem, preparation.with_tooth_compliance(first), rough)
+    )
+    # What a model without the right physics cannot predict may be what is looked for.
+    problem = contact_masking.without_contact_mask(polished)
+    noise = local_optima.judging_process_noise(problem, fine)
+    return problem, local_optima.refit(problem.at(noise), first, fine.values), fine
+
+
 def search(
     recordings: Sequence[Recording],
     first: Structure,
@@ -46,16 +60,10 @@ def search(
     """Add effects one at a time as long as each improves the fit significantly, then refine the result."""
     tell = progress or (lambda sentence, share: None)
     tell("fitting the first model", 0.0)
-    problem, rough = multistart.coarse_starts(recordings, first, held)
-    polished, fine = multistart.leave_local_optima(
-        problem, multistart.fit_from_starts(problem, preparation.with_tooth_compliance(first), rough)
-    )
-    # What a model without the right physics cannot predict may be what is looked for.
-    problem = contact_masking.without_contact_mask(polished)
-    best = local_optima.refit(problem.at(local_optima.judging_process_noise(problem, fine)), first, fine.values)
+    problem, best, fine = _first_fit(recordings, first, held)
     if gap_presence.is_gap_a_makeshift(problem, best):
-        best = local_optima.refit(problem.at(best.process_noise), first.without(*gap_presence.GAP), best.values)
-        first, fine, candidates = best.structure, best, (*candidates, "backlash")
+        first, candidates = first.without(*gap_presence.GAP), (*candidates, "backlash")
+        problem, best, fine = _first_fit(recordings, first, held)
     candidates = screening.testable_candidates(problem, candidates, first)
     ground = first
     if friction := dead_band_rivals.friction_for_dead_band(problem, best, candidates):
