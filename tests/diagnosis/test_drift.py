@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.diagnosis import drift
+from twin.diagnosis import adequacy, drift
 from twin.diagnosis.drift import Dynamics, MeanSquare, Noise
 
 TIME = 0.002 * np.arange(2001)
@@ -109,3 +109,14 @@ def test_runs_share_the_errors_of_their_parameters() -> None:
 def test_nothing_random_leaves_no_doubt() -> None:
     null = MeanSquare(np.zeros(3), np.ones(3))
     assert (null.chance(0.0), null.chance(1.0), null.exceeded(0.05)) == (1.0, 0.0, 0.0)
+
+
+def test_nothing_is_expected_of_a_model_whose_error_no_number_holds() -> None:
+    """A law that pushes makes any small error grow without bound: the error found is told, and no chance for it."""
+    time = 0.01 * np.arange(4000)
+    pushed = Dynamics(time, np.zeros(4000), np.full(4000, -50.0), np.ones(4000, dtype=bool))
+    factor = drift.factor(pushed, np.arange(0, 4000, 100), Noise(1.0, 1.0, 1.0), speed=False)
+    assert not np.isfinite(factor).all()
+    share = np.full(len(factor), 1.0 / len(factor))
+    run = adequacy.together([adequacy.Error(40.0, 10, share, factor, np.zeros((len(factor), 1)), 1e-6)], False)
+    assert run.rmse == 2.0 and np.isnan([run.expected, run.p_value, run.largest]).all()

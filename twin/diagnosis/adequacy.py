@@ -94,6 +94,7 @@ def _chords(case: PreparedRecording, point: Fit) -> FloatArray:
     return np.asarray(0.5 * (np.array(runs[: len(axes)]) - np.array(runs[len(axes) :])).T)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def error(case: PreparedRecording, part: RecordingPart, point: Fit, points: int) -> Error:
     """The error of the free run through a part, which starts where the case does.
 
@@ -147,8 +148,12 @@ def together(errors: Sequence[Error], was_fitted: bool) -> FreeRun:
         for w, e in zip(weights, errors, strict=True)
         if e.readings
     ]
-    null: MeanSquare = drift.mean_square(runs, reading, readings, was_fitted)
     square = sum(e.squares for e in errors) / readings
+    made = [x for r in runs for x in (r.factor, r.parameters)]
+    if not (math.isfinite(square) and all(np.isfinite(x).all() for x in made)):
+        # Within its errors the model does not run: nobody knows what to expect.
+        return FreeRun(math.sqrt(square), math.nan, math.nan, math.nan)
+    null: MeanSquare = drift.mean_square(runs, reading, readings, was_fitted)
     return FreeRun(math.sqrt(square), math.sqrt(null.mean), null.chance(square), math.sqrt(null.exceeded(RARE)))
 
 

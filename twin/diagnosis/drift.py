@@ -115,10 +115,11 @@ def factor(dynamics: Dynamics, edges: NDArray[np.intp], noise: Noise, speed: boo
     state[0, 0], state[1, 1] = math.sqrt(noise.position), math.sqrt(noise.velocity)
     row = 1 if speed else 0
     made = np.empty((count, state.shape[1]))
-    for k in range(count):
-        state = moved[k] @ state
-        state[:, 2 + 2 * k : 4 + 2 * k] = roots[k]
-        made[k] = state[row]
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable law makes errors that no number holds
+        for k in range(count):
+            state = moved[k] @ state
+            state[:, 2 + 2 * k : 4 + 2 * k] = roots[k]
+            made[k] = state[row]
     return made
 
 

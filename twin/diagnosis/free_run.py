@@ -90,9 +90,12 @@ def _estimator(unit: FloatArray, noise: FloatArray, grid: Grid, reading: float) 
     """The generalised least squares (2, begun) of a change of the start from the errors at the first points.
 
     `unit` (K, 2) is what a change of the start does to the error, `noise` (K, sources) what torque noise does. Where
-    dry friction holds the axis its velocity cannot be told, and stays as it was.
+    dry friction holds the axis its velocity cannot be told, and stays as it was. So does the whole start where no number
+    holds the errors.
     """
     a, g = unit[: grid.begun], noise[: grid.begun]
+    if not (np.isfinite(a).all() and np.isfinite(g).all()):
+        return np.zeros((2, len(a)))
     size = np.maximum(np.sqrt(np.mean(a * a, axis=0)), 1e-300)
     covariance = g @ g.T + max(reading / grid.stride, 1e-300) * np.eye(len(a))
     solved = np.linalg.solve(covariance, a / size)
@@ -126,6 +129,7 @@ class Started:
     grid: Grid
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def started(case: PreparedRecording, point: Fit, points: int) -> Started:
     """Run the model freely from the start that makes the first readings likeliest under its own torque noise.
 
