@@ -90,8 +90,8 @@ def _estimator(unit: FloatArray, noise: FloatArray, grid: Grid, reading: float) 
     """The generalised least squares (2, begun) of a change of the start from the errors at the first points.
 
     `unit` (K, 2) is what a change of the start does to the error, `noise` (K, sources) what torque noise does. Where
-    dry friction holds the axis its velocity cannot be told, and stays as it was. So does the whole start where no number
-    holds the errors.
+    dry friction holds the axis its velocity cannot be told, and stays as it was. So does the whole start where errors
+    grow beyond all numbers.
     """
     a, g = unit[: grid.begun], noise[: grid.begun]
     if not (np.isfinite(a).all() and np.isfinite(g).all()):
