@@ -55,7 +55,7 @@ def without_blocks(problem: FitProblem, smaller: Fit, larger: Fit) -> Fit:
 
 
 def _squares_ahead(problem: FitProblem, point: Fit, ahead: float) -> FloatArray:
-    """Mean square (M,) of the errors of each prediction up to `ahead` seconds ahead that lies in the blocks."""
+    """Mean square (M,) of the errors of each prediction up to `ahead` seconds ahead; NaN outside the blocks."""
     found = []
     for case in problem.stepped(point.structure):
         running = likelihood.with_free_runs(case, problem.process_noise, ahead)
@@ -63,9 +63,11 @@ def _squares_ahead(problem: FitProblem, point: Fit, ahead: float) -> FloatArray:
         inside = np.any([part.inside for part in blocks_of(case.recording)], axis=0)
         runs = np.asarray(running.free_run, dtype=np.int8)
         judged = inside & (runs > 0) & np.isfinite(error)
-        number = np.cumsum(np.diff(runs, prepend=0) == 1)[judged]
-        read = np.bincount(number)
-        found.append(np.bincount(number, error[judged] ** 2)[read > 0] / read[read > 0])
+        number = np.cumsum(np.diff(runs, prepend=0) == 1)
+        last = int(number[-1]) + 1
+        read = np.bincount(number[judged], minlength=last)
+        squares = np.bincount(number[judged], error[judged] ** 2, minlength=last)
+        found.append(np.divide(squares, read, out=np.full(last, np.nan), where=read > 0))
     return np.concatenate(found)
 
 
@@ -81,7 +83,8 @@ class Ahead:
 
 
 def _seconds_ahead(problem: FitProblem, smaller: Fit, larger: Fit) -> Ahead:
-    before, after = (_squares_ahead(problem, p, HORIZON) for p in (smaller, larger))
+    both = np.array([_squares_ahead(problem, p, HORIZON) for p in (smaller, larger)])
+    before, after = both[:, np.isfinite(both).all(axis=0)]  # one model may not run where the other does
     more, count = after - before, len(after)
     ratio = math.sqrt(float(np.mean(after)) / max(float(np.mean(before)), 1e-300)) if count else 1.0
     chance = float(np.std(more)) / math.sqrt(max(count - 1, 1))
